@@ -1,0 +1,38 @@
+"""Everything that can be said of a scene before it runs: what was repaired, and what is likely a mistake.
+
+Needs neither numba nor scipy, so that `muslin check` answers at once; trimesh only for mesh files other than
+.obj.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.clearance import clearance_warnings
+from sim.mesh import Mesh, build_mesh
+from sim.scene import Scene
+
+SLIVER = np.radians(1.0)
+"""Triangles with an angle below this [rad] are counted: springs on them are stiff, and their hinges jumpy."""
+
+
+def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
+    """The mesh of a scene and one line for each thing that its author may want to know.
+
+    Raises:
+        SceneError: for cloth that cannot be simulated.
+    """
+    mesh = build_mesh(scene)
+    prefix = f"{scene.name}: "
+    warnings = [w.removeprefix(prefix) for w in mesh.warnings]
+    return mesh, warnings + _sliver_warnings(mesh) + clearance_warnings(mesh, scene)
+
+
+def _sliver_warnings(mesh: Mesh) -> list[str]:
+    corners = mesh.rest_vertices[mesh.triangles]
+    sides = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(sides, axis=2)
+    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    longest_two = np.sort(lengths, axis=1)[:, 1:].prod(axis=1)
+    slivers = int((twice_area < np.sin(SLIVER) * longest_two).sum())
+    return [f"{slivers:,} triangles have an angle below 1°"] if slivers else []

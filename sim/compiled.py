@@ -1,0 +1,106 @@
+"""How kernels are compiled, and small vectors for them.
+
+`kernel` is for what is called from Python: it releases the GIL and is cached on disk. `inner` is for helpers. Kernels take arrays or NamedTuples of arrays and have no globals and no I/O; float64
+throughout, no fast-math, so that a result does not depend on how the compiler reorders a sum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numba
+from numba.core.dispatcher import Dispatcher
+
+inner = numba.njit(cache=True, error_model="numpy")
+
+KERNELS: list[Dispatcher] = []
+"""Every kernel of the modules imported so far, for those who want to watch them compile."""
+
+
+def kernel(function: Callable) -> Dispatcher:
+    """Compile `function` for calls from Python."""
+    return _listed(numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+
+
+def parallel_kernel(function: Callable) -> Dispatcher:
+    """Compile `function` with its `prange` loops shared between threads."""
+    return _listed(numba.njit(nogil=True, cache=True, error_model="numpy", parallel=True)(function))
+
+
+def _listed(dispatcher: Dispatcher) -> Dispatcher:
+    KERNELS.append(dispatcher)
+    return dispatcher
+
+
+class Vec3(NamedTuple):
+    """A point or direction in a kernel; reads like the paper and compiles to scalars."""
+
+    x: float
+    y: float
+    z: float
+
+
+@inner
+def row(array, i):
+    """Row i of an (n, 3) array."""
+    return Vec3(array[i, 0], array[i, 1], array[i, 2])
+
+
+@inner
+def put(array, i, a):
+    """Write `a` to row i of an (n, 3) array."""
+    array[i, 0] = a.x
+    array[i, 1] = a.y
+    array[i, 2] = a.z
+
+
+@inner
+def corner(array, i, a):
+    """Entry (i, a) of an (n, k, 3) array."""
+    return Vec3(array[i, a, 0], array[i, a, 1], array[i, a, 2])
+
+
+@inner
+def put_corner(array, i, a, v):
+    """Write `v` to entry (i, a) of an (n, k, 3) array."""
+    array[i, a, 0] = v.x
+    array[i, a, 1] = v.y
+    array[i, a, 2] = v.z
+
+
+@inner
+def add(a, b):
+    """A + b."""
+    return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
+
+
+@inner
+def sub(a, b):
+    """A − b."""
+    return Vec3(a.x - b.x, a.y - b.y, a.z - b.z)
+
+
+@inner
+def scale(s, a):
+    """S a."""
+    return Vec3(s * a.x, s * a.y, s * a.z)
+
+
+@inner
+def dot(a, b):
+    """A · b."""
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+@inner
+def cross(a, b):
+    """A × b."""
+    return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+@inner
+def norm(a):
+    """|a|."""
+    return math.sqrt(dot(a, a))

@@ -1,0 +1,131 @@
+"""Obstacles: solid shapes that stand still or move rigidly on keyed paths.
+
+Each shape is given by its exact signed distance in its own frame, negative inside, and the direction in which it
+grows. All of them are convex, so the plane through a nearest point leaves the whole obstacle on one side.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.compiled import Vec3, dot, inner, norm, scale
+from sim.rotation import rotation_matrix
+from sim.scene import Box, Capsule, Key, Plane, Scene, Sphere
+
+SPHERE, PLANE, BOX, CAPSULE = range(4)
+
+
+class Shapes(NamedTuple):
+    """Shapes in their own frames: kind (o,) and size (o, 3) [m].
+
+    Sizes: a sphere's radius; nothing for a plane, whose normal is z; a box's half sides; a capsule's half
+    length along z and its radius.
+    """
+
+    kind: np.ndarray
+    size: np.ndarray
+
+
+class Poses(NamedTuple):
+    """Where the obstacles are: position (o, 3) [m] of each reference point, and rotation (o, 3, 3) to the world."""
+
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+class Obstacles:
+    """The obstacles of a scene as arrays, at any time."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.parts = scene.obstacle
+        described = [_describe(part) for part in self.parts]
+        self.shapes = Shapes(
+            np.array([kind for kind, _, _ in described], dtype=np.int64),
+            np.array([size for _, size, _ in described], dtype=float).reshape(-1, 3),
+        )
+        self._upright = [rotation for _, _, rotation in described]
+
+    def poses(self, time: float) -> Poses:
+        """Where every obstacle is at `time` [s]."""
+        position, rotation = np.zeros((len(self.parts), 3)), np.zeros((len(self.parts), 3, 3))
+        for o, part in enumerate(self.parts):
+            position[o], vector = _placement(part, time)
+            rotation[o] = rotation_matrix(vector) @ self._upright[o]
+        return Poses(position, rotation)
+
+
+def _describe(part: Sphere | Plane | Box | Capsule) -> tuple[int, tuple[float, float, float], np.ndarray]:
+    """Kind, size and the rotation that stands the shape up in the world."""
+    if isinstance(part, Sphere):
+        return SPHERE, (part.radius, 0.0, 0.0), np.eye(3)
+    if isinstance(part, Plane):
+        return PLANE, (0.0, 0.0, 0.0), _turn_z_to(np.asarray(part.normal))
+    if isinstance(part, Box):
+        return BOX, tuple(0.5 * s for s in part.size), np.eye(3)
+    axis = np.asarray(part.end) - np.asarray(part.start)
+    length = float(np.linalg.norm(axis))
+    return CAPSULE, (0.5 * length, part.radius, 0.0), _turn_z_to(axis) if length > 0.0 else np.eye(3)
+
+
+def _turn_z_to(axis: np.ndarray) -> np.ndarray:
+    z = axis / np.linalg.norm(axis)
+    x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (1.0, 0.0, 0.0), z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _placement(part: Sphere | Plane | Box | Capsule, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position of the reference point and rotation vector at `time`."""
+    if not part.path:
+        return np.asarray(part.reference), np.zeros(3)
+    keys = part.path
+    first, last = keys[0].time, keys[-1].time
+    if part.repeat and time > last:
+        time = first + math.fmod(time - first, last - first)
+    after = next((k for k, key in enumerate(keys) if key.time > time), len(keys))
+    if after == 0 or after == len(keys):
+        return _key(keys[max(after - 1, 0)], part.reference)
+    a, b = keys[after - 1], keys[after]
+    t = (time - a.time) / (b.time - a.time)
+    if part.motion == "smooth":
+        t = t * t * (3.0 - 2.0 * t)
+    (x0, r0), (x1, r1) = _key(a, part.reference), _key(b, part.reference)
+    return x0 + t * (x1 - x0), r0 + t * (r1 - r0)
+
+
+def _key(key: Key, reference: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(reference if key.position is None else key.position), np.asarray(key.rotation)
+
+
+@inner
+def signed_distance(kind, size, p):
+    """Signed distance [m] of point `p` in the shape's own frame, and the unit direction of its increase."""
+    if kind == PLANE:
+        return p.z, Vec3(0.0, 0.0, 1.0)
+    if kind == BOX:
+        return _box_distance(size, p)
+    if kind == CAPSULE:
+        p = Vec3(p.x, p.y, p.z - min(max(p.z, -size[0]), size[0]))
+    radius = size[1] if kind == CAPSULE else size[0]
+    length = norm(p)
+    if length == 0.0:
+        return -radius, Vec3(1.0, 0.0, 0.0)
+    return length - radius, scale(1.0 / length, p)
+
+
+@inner
+def _box_distance(size, p):
+    d = Vec3(abs(p.x) - size[0], abs(p.y) - size[1], abs(p.z) - size[2])
+    side = Vec3(math.copysign(1.0, p.x), math.copysign(1.0, p.y), math.copysign(1.0, p.z))
+    out = Vec3(max(d.x, 0.0), max(d.y, 0.0), max(d.z, 0.0))
+    length = math.sqrt(dot(out, out))
+    if length > 0.0:
+        return length, Vec3(side.x * out.x / length, side.y * out.y / length, side.z * out.z / length)
+    if d.x >= d.y and d.x >= d.z:
+        return d.x, Vec3(side.x, 0.0, 0.0)
+    if d.y >= d.z:
+        return d.y, Vec3(0.0, side.y, 0.0)
+    return d.z, Vec3(0.0, 0.0, side.z)

@@ -1,0 +1,105 @@
+"""What every scalar coordinate q(x) with gradient g = ∂q/∂x shares, whatever kind of spring or contact it is.
+
+    energy  ½ K (q − q0)²      force on node a  −s g_a,  s = K (q − q0) + b q̇,   q̇ = Σ g_a·v_a − drift
+    damping b = γ · 2 √(μ K),  1/μ = Σ |g_a|² / m_a
+    matrix  block(a, b) = along g_a g_bᵀ + across (g_a·g_b) I
+
+The matrix is that of an implicit step h: M + h D + h² H has along = h b + h² (K − K_t) and across = h² K_t.
+K_t = K max(0, 1 − q0/q) is the stiffness across a length, clamped in compression so that every block is
+positive semi-definite (Choi and Ko 2002); a coordinate that is no length has K_t = 0 (Gauss–Newton).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.compiled import corner, dot, kernel, row
+
+
+class Elements(NamedTuple):
+    """The elements of one kind, e of them with k nodes each, as arrays.
+
+    Attributes:
+        nodes: (e, k) int32.
+        rest: (e,) q0, in the unit of q.
+        stiffness: (e,) K.
+        damping: (e,) b, set once per step.
+        drift: (e,) speed of the coordinate's other side: zero for springs, an obstacle's for contacts.
+        q: (e,) the coordinate.
+        gradient: (e, k, 3).
+        memory: (e, ·) what the coordinate remembers of the last step.
+        new_memory: (e, ·) what it will remember of this one if it is accepted.
+        tension: (e,) s.
+        along: (e,) factor of g gᵀ in the matrix.
+        across: (e,) factor of (g·g) I in the matrix.
+    """
+
+    nodes: np.ndarray
+    rest: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    drift: np.ndarray
+    q: np.ndarray
+    gradient: np.ndarray
+    memory: np.ndarray
+    new_memory: np.ndarray
+    tension: np.ndarray
+    along: np.ndarray
+    across: np.ndarray
+
+
+def make_elements(nodes: np.ndarray, memory: int) -> Elements:
+    """Elements on the (e, k) `nodes`, all quantities zero."""
+    e, k = nodes.shape
+    numbers = {name: np.zeros(e) for name in Elements._fields if name not in ("nodes", "gradient")}
+    numbers["memory"], numbers["new_memory"] = np.zeros((e, memory)), np.zeros((e, memory))
+    return Elements(
+        nodes=np.ascontiguousarray(nodes, dtype=np.int32), gradient=np.zeros((e, k, 3)), **numbers
+    )
+
+
+@kernel
+def set_damping(elements, inverse_masses, gamma):
+    """Fill b = γ · 2 √(μ K) from the present gradient; an element without mass or gradient gets none."""
+    for e in range(len(elements.q)):
+        inverse = 0.0
+        for a in range(elements.nodes.shape[1]):
+            g = corner(elements.gradient, e, a)
+            inverse += dot(g, g) * inverse_masses[elements.nodes[e, a]]
+        elements.damping[e] = (
+            2.0 * gamma * math.sqrt(elements.stiffness[e] / inverse) if inverse > 0.0 else 0.0
+        )
+
+
+@kernel
+def set_tension(elements, velocities):
+    """Fill s = K (q − q0) + b (Σ g_a·v_a − drift)."""
+    for e in range(len(elements.q)):
+        rate = -elements.drift[e]
+        for a in range(elements.nodes.shape[1]):
+            rate += dot(corner(elements.gradient, e, a), row(velocities, elements.nodes[e, a]))
+        stretch = elements.q[e] - elements.rest[e]
+        elements.tension[e] = elements.stiffness[e] * stretch + elements.damping[e] * rate
+
+
+@kernel
+def set_matrix_factors(elements, h, is_length):
+    """Fill along and across for an implicit step of h [s]."""
+    for e in range(len(elements.q)):
+        across = 0.0
+        if is_length and elements.q[e] > elements.rest[e]:
+            across = elements.stiffness[e] * (1.0 - elements.rest[e] / elements.q[e])
+        elements.across[e] = h * h * across
+        elements.along[e] = h * elements.damping[e] + h * h * (elements.stiffness[e] - across)
+
+
+@kernel
+def elastic_energy(elements):
+    """Σ ½ K (q − q0)² [J]."""
+    total = 0.0
+    for e in range(len(elements.q)):
+        total += 0.5 * elements.stiffness[e] * (elements.q[e] - elements.rest[e]) ** 2
+    return total

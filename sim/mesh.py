@@ -1,0 +1,305 @@
+"""From the cloth of a scene to arrays: vertices, triangles and the stencils that springs live on.
+
+Any triangle mesh will do: boundaries, irregular valence, several pieces, vertices without triangles, and
+chains that have edges only. NumPy alone, so that a scene can be checked and shown before a kernel exists.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.repair import repair_triangles
+from sim.rotation import rotation_matrix
+from sim.scene import MAX_VERTICES, Arrays, Equilateral, Grid, MeshFile, Scene, SceneError
+
+RIBBON_WIDTH = 0.01
+"""Edges outside any triangle weigh like a ribbon of this width [m]."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """All cloth of a scene as one set of arrays. Index arrays are int32, the rest float64.
+
+    Attributes:
+        vertices: (n, 3) start positions [m].
+        rest_vertices: (n, 3) positions [m] in which edges have their rest length.
+        triangles: (m, 3), wound alike within each connected part.
+        edges: (e, 2), each once: the sides of the triangles, then edges given explicitly.
+        hinges: (h, 4) x1, x2 of an inner edge, then the opposite vertices x3 of triangle (x1, x2, x3) and
+            x4 of triangle (x2, x1, x4).
+        pieces: (n,) which cloth of the scene a vertex belongs to.
+        pinned: (k,) vertices that stay where they start, sorted.
+        density: (pieces,) mass per area [kg/m²], nan where the setting rules.
+        given_masses: (n,) masses [kg] given explicitly, nan elsewhere.
+        warnings: what was repaired or left out, one line each.
+    """
+
+    vertices: np.ndarray
+    rest_vertices: np.ndarray
+    triangles: np.ndarray
+    edges: np.ndarray
+    hinges: np.ndarray
+    pieces: np.ndarray
+    pinned: np.ndarray
+    density: np.ndarray
+    given_masses: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def build_mesh(scene: Scene) -> Mesh:
+    """The mesh of all cloth of `scene`; raises SceneError for arrays or files that are no mesh."""
+    pieces = [_piece(cloth, f"{scene.name}: cloth[{i}]", scene.folder) for i, cloth in enumerate(scene.cloth)]
+    first = np.cumsum([0] + [len(p.vertices) for p in pieces])
+    total = int(first[-1])
+    if total > MAX_VERTICES:
+        raise SceneError(f"{scene.name}: cloth: expected at most {MAX_VERTICES} vertices, got {total}")
+    triangles = np.concatenate([p.triangles + f for p, f in zip(pieces, first, strict=False)])
+    extra = np.concatenate([p.edges + f for p, f in zip(pieces, first, strict=False)])
+    hinges, hinge_warnings = _hinges(triangles, total)
+    densities = [cloth.density for cloth in scene.cloth]
+    return Mesh(
+        vertices=np.concatenate([p.vertices for p in pieces]),
+        rest_vertices=np.concatenate([p.rest for p in pieces]),
+        triangles=triangles.astype(np.int32),
+        edges=_edges(triangles, extra, total),
+        hinges=hinges,
+        pieces=np.repeat(np.arange(len(pieces), dtype=np.int32), np.diff(first)),
+        pinned=np.unique(np.concatenate([p.pins + f for p, f in zip(pieces, first, strict=False)])).astype(
+            np.int32
+        ),
+        density=np.array([np.nan if d is None else d for d in densities]),
+        given_masses=np.concatenate([p.masses for p in pieces]),
+        warnings=tuple(w for p in pieces for w in p.warnings) + hinge_warnings,
+    )
+
+
+def vertex_masses(mesh: Mesh, mass: str, density: float) -> np.ndarray:
+    """(n,) masses [kg], all positive.
+
+    Args:
+        mesh: The cloth.
+        mass: "area", a third of each triangle to its corners, or "constant", the same to every vertex of a piece.
+        density: Mass per area [kg/m²] where a piece has none of its own.
+
+    Edges outside any triangle weigh like a ribbon; a vertex with no triangle and no edge gets its piece's mean.
+    """
+    density_of_piece = np.where(np.isnan(mesh.density), density, mesh.density)
+    share = np.zeros(len(mesh.vertices))
+    corners = mesh.rest_vertices[mesh.triangles]
+    areas = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    np.add.at(share, mesh.triangles, areas[:, None] / 3.0)
+    bare = ~np.isin(mesh.edges, mesh.triangles).all(axis=1)
+    ends = mesh.rest_vertices[mesh.edges[bare]]
+    np.add.at(
+        share, mesh.edges[bare], RIBBON_WIDTH * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[:, None] / 2.0
+    )
+    masses = share * density_of_piece[mesh.pieces]
+    for piece in range(len(density_of_piece)):
+        own = mesh.pieces == piece
+        weighty = own & (masses > 0.0)
+        mean = masses[weighty].mean() if weighty.any() else 1e-3
+        masses[own & ~weighty] = mean
+        if mass == "constant":
+            masses[own] = masses[own].sum() / own.sum()
+    return np.where(np.isnan(mesh.given_masses), masses, mesh.given_masses)
+
+
+@dataclass
+class _Piece:
+    """One cloth of the scene, numbered from zero."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    edges: np.ndarray
+    pins: np.ndarray
+    masses: np.ndarray
+    rest: np.ndarray
+    warnings: list[str]
+
+
+def _piece(cloth: Grid | Equilateral | MeshFile | Arrays, where: str, folder: str) -> _Piece:
+    names: dict[str, np.ndarray] = {}
+    warnings: list[str] = []
+    edges, masses, rest = np.zeros((0, 2), int), None, None
+    if isinstance(cloth, Grid):
+        points, triangles, names = _grid(cloth)
+    elif isinstance(cloth, Equilateral):
+        points, triangles, names = _equilateral(cloth)
+    elif isinstance(cloth, MeshFile):
+        points, triangles, warnings = _read(cloth, where, folder)
+    else:
+        points, triangles, edges, masses, rest = _arrays(cloth, where)
+        triangles, warnings = repair_triangles(points if rest is None else rest, triangles)
+    n = len(points)
+    placed = points @ rotation_matrix(cloth.rotation).T + np.asarray(cloth.position)
+    return _Piece(
+        vertices=placed,
+        triangles=triangles.astype(np.int64),
+        edges=edges,
+        pins=_pins(cloth.pins, names, n, where),
+        masses=np.full(n, np.nan) if masses is None else masses,
+        rest=points if rest is None else rest,
+        warnings=[f"{where}: {w}" for w in warnings],
+    )
+
+
+def _grid(cloth: Grid) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    nx, ny = cloth.resolution
+    x, y = np.meshgrid(_span(cloth.size[0], nx), _span(cloth.size[1], ny))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(nx * ny)], axis=1)
+    index = np.arange(nx * ny).reshape(ny, nx)
+    a, b, c, d = (
+        corner.ravel() for corner in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:])
+    )
+    i, j = np.meshgrid(np.arange(nx - 1), np.arange(ny - 1))
+    even = ((i + j) % 2 == 0).ravel()[:, None]
+    lower = np.where(even, np.stack([a, b, d], axis=1), np.stack([a, b, c], axis=1))
+    upper = np.where(even, np.stack([a, d, c], axis=1), np.stack([b, d, c], axis=1))
+    triangles = np.stack([lower, upper], axis=1).reshape(-1, 3)
+    return points, triangles, _named(list(index))
+
+
+def _equilateral(cloth: Equilateral) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    nx, ny = cloth.resolution
+    xs = _span(cloth.size[0], nx)
+    between = np.concatenate([xs[:1], 0.5 * (xs[1:] + xs[:-1]), xs[-1:]])
+    rows, points, triangles = [], [], []
+    for j, y in enumerate(_span(cloth.size[1], ny)):
+        x = between if j % 2 else xs
+        rows.append(np.arange(len(x)) + sum(map(len, points)))
+        points.append(np.stack([x, np.full(len(x), y), np.zeros(len(x))], axis=1))
+    for j, (low, high) in enumerate(zip(rows, rows[1:], strict=False)):
+        few, many = (high, low) if j % 2 else (low, high)
+        flat_few = np.stack([few[:-1], few[1:], many[1:-1]], axis=1)
+        flat_many = np.stack([many[1:], many[:-1], few], axis=1)
+        both = np.concatenate([flat_few, flat_many])
+        triangles.append(both[:, ::-1] if j % 2 else both)
+    return np.concatenate(points), np.concatenate(triangles), _named(rows)
+
+
+def _span(length: float, count: int) -> np.ndarray:
+    return np.linspace(-0.5 * length, 0.5 * length, count)
+
+
+def _named(rows: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """The names of the sides and corners of a rectangle given by its rows of vertices."""
+    left, right = np.array([r[0] for r in rows]), np.array([r[-1] for r in rows])
+    corners = {"corner00": left[:1], "corner10": right[:1], "corner01": left[-1:], "corner11": right[-1:]}
+    return {**corners, "left": left, "right": right, "bottom": rows[0], "top": rows[-1]}
+
+
+def _read(cloth: MeshFile, where: str, folder: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    from sim.meshfile import read_mesh
+
+    try:
+        points, triangles, warnings = read_mesh(cloth.file, folder, cloth.scale)
+    except ValueError as error:
+        raise SceneError(f"{where}.file: {error}") from None
+    return points, triangles, warnings
+
+
+def _arrays(cloth: Arrays, where: str):
+    points = _numbers(cloth.vertices, 3, f"{where}.vertices")
+    n = len(points)
+    if n == 0:
+        raise SceneError(f"{where}.vertices: expected at least one vertex, got none")
+    triangles = _indices(cloth.triangles, 3, n, f"{where}.triangles")
+    edges = _indices(cloth.edges, 2, n, f"{where}.edges")
+    if np.abs(points).max() > 1e4:
+        raise SceneError(
+            f"{where}.vertices: expected coordinates within ±1e4 m, got {np.abs(points).max():g}"
+        )
+    masses = None
+    if cloth.masses is not None:
+        masses = _numbers(cloth.masses, 0, f"{where}.masses")
+        if len(masses) != n:
+            raise SceneError(f"{where}.masses: expected {n} masses, got {len(masses)}")
+        if not (masses > 0).all():
+            row = int(np.argmin(masses > 0))
+            raise SceneError(f"{where}.masses[{row}]: expected > 0 kg, got {masses[row]:g}")
+    rest = None
+    if cloth.rest_vertices is not None:
+        rest = _numbers(cloth.rest_vertices, 3, f"{where}.rest_vertices")
+        if len(rest) != n:
+            raise SceneError(f"{where}.rest_vertices: expected {n} rows, got {len(rest)}")
+    return points, triangles, edges, masses, rest
+
+
+def _numbers(value: Any, width: int, where: str) -> np.ndarray:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{where}: expected numbers, got {error}") from None
+    shape = f"(n, {width})" if width else "(n,)"
+    if array.ndim != (2 if width else 1) or (width and array.shape[1] != width):
+        raise SceneError(f"{where}: expected an array of shape {shape}, got {array.shape}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        row = int(np.argwhere(~finite)[0][0])
+        raise SceneError(f"{where}[{row}]: expected finite numbers, got {array[row].tolist()}")
+    return array
+
+
+def _indices(value: Any, width: int, n: int, where: str) -> np.ndarray:
+    if value is None or np.size(value) == 0:
+        return np.zeros((0, width), dtype=np.int64)
+    array = _numbers(value, width, where)
+    wrong = (array != np.floor(array)) | (array < 0) | (array >= n)
+    ordered = np.sort(array, axis=1)
+    repeated = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
+    for bad, reason in (
+        (wrong.any(axis=1), f"vertex indices from 0 to {n - 1}"),
+        (repeated, "distinct vertices"),
+    ):
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise SceneError(f"{where}[{row}]: expected {reason}, got {array[row].tolist()}")
+    return array.astype(np.int64)
+
+
+def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: str) -> np.ndarray:
+    found = [np.zeros(0, dtype=np.int64)]
+    for k, pin in enumerate(pins):
+        if isinstance(pin, str):
+            if pin not in names:
+                allowed = ", ".join(names) or "vertex indices only for this kind of cloth"
+                raise SceneError(f"{where}.pins[{k}]: expected one of {allowed}, got {pin!r}")
+            found.append(names[pin])
+        elif not 0 <= pin < n:
+            raise SceneError(f"{where}.pins[{k}]: expected a vertex index from 0 to {n - 1}, got {pin}")
+        else:
+            found.append(np.array([pin]))
+    return np.concatenate(found)
+
+
+def _edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarray:
+    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]], extra])
+    low, high = sides.min(axis=1), sides.max(axis=1)
+    _, first = np.unique(low * n + high, return_index=True)
+    return np.stack([low[first], high[first]], axis=1).astype(np.int32)
+
+
+def _hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Inner edges with their two opposite vertices; edges of three or more triangles are left out."""
+    start = triangles.ravel()
+    end = triangles[:, [1, 2, 0]].ravel()
+    opposite = triangles[:, [2, 0, 1]].ravel()
+    key = np.minimum(start, end) * n + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    pairs = first[count == 2]
+    a, b = order[pairs], order[pairs + 1]
+    against = (start[a] == end[b]) & (opposite[a] != opposite[b])
+    a, b = a[against], b[against]
+    swap = start[a] > end[a]
+    a, b = np.where(swap, b, a), np.where(swap, a, b)
+    hinges = np.stack([start[a], end[a], opposite[a], opposite[b]], axis=1).astype(np.int32)
+    crowded, odd = int((count > 2).sum()), int((~against).sum())
+    warnings = [f"{crowded} edges belong to three or more triangles and do not bend"] if crowded else []
+    warnings += [f"{odd} edges join triangles wound against each other and do not bend"] if odd else []
+    return hinges, tuple(warnings)

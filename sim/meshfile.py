@@ -1,0 +1,276 @@
+"""Triangle meshes from files: .obj read here, .ply, .stl and .off read by trimesh.
+
+A file is data from somebody else's program, or from somebody else: it must lie in the scene's own folder, be
+of a modest size, and name no other file. Vertices keep the order of the file, so that pins can name them.
+The reader of .obj is our own because it can say which line is wrong, keeps vertices whole where texture
+coordinates part them, and spares `muslin check` the two seconds that importing trimesh takes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from sim.repair import repair_triangles, used_vertices
+from sim.scene import MAX_VERTICES
+
+SUFFIXES = (".obj", ".ply", ".stl", ".off")
+"""The kinds of file that are read."""
+
+MAX_BYTES = 10_000_000
+"""Larger files are refused before they are read."""
+
+MAX_TRIANGLES = 2 * MAX_VERTICES
+"""About as many as a mesh of the most vertices has; more are refused before anything is allocated."""
+
+FARTHEST = 1e4
+"""Coordinates beyond this [m] are refused: at that size a millimetre is lost in rounding."""
+
+SMALLEST = 1e-4
+"""Meshes smaller than this [m] are refused."""
+
+HUGE = 100.0
+"""Cloth larger than this [m] is possible, but most likely measured in millimetres."""
+
+MILLIMETRES = "looks like millimetres: scale = 0.001?"
+
+Arrays = tuple[np.ndarray, np.ndarray]
+
+
+def read_mesh(file: str, folder: str, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Read and repair a mesh.
+
+    Args:
+        file: Path of the file, relative to `folder` and inside it.
+        folder: The scene's folder.
+        scale: Metres per unit of the file.
+
+    Returns:
+        (n, 3) float64 vertices [m], (m, 3) int32 triangles wound alike, and a line for each repair.
+
+    Raises:
+        ValueError: one line that says what is wrong with the file.
+    """
+    path = _inside(file, folder)
+    data = _bytes(path, file)
+    suffix = path.suffix.lower()
+    try:
+        declared_counts(data, suffix)
+        vertices, triangles = _read_obj(data) if suffix == ".obj" else _read_with_trimesh(data, suffix)
+        _check_indices(vertices, triangles)
+        vertices = vertices * scale
+        if suffix == ".stl":
+            vertices, triangles = _welded(vertices, triangles)
+        triangles, warnings = repair_triangles(vertices, triangles)
+        if len(triangles) == 0:
+            raise ValueError("expected triangles, got none with an area")
+        vertices, triangles, left_out = used_vertices(vertices, triangles)
+        return vertices, triangles.astype(np.int32), _size_warnings(vertices) + warnings + left_out
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def vertex_count(file: str, folder: str) -> int | None:
+    """How many vertices a file says it has, without reading the mesh; None where only reading it can tell."""
+    path = _inside(file, folder)
+    try:
+        return declared_counts(_bytes(path, file), path.suffix.lower())[0]
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def declared_counts(data: bytes, suffix: str) -> tuple[int | None, int]:
+    """The (vertices, faces) that a file claims to have, None for those of an .stl, which repeats them.
+
+    Raises:
+        ValueError: the claim is larger than Muslin, or than the file itself, can hold.
+    """
+    vertices, faces, everything = _COUNTERS[suffix](data)
+    if (vertices or 0) > MAX_VERTICES:
+        raise ValueError(f"expected at most {MAX_VERTICES:,} vertices, got {vertices:,}")
+    if faces > MAX_TRIANGLES:
+        raise ValueError(f"expected at most {MAX_TRIANGLES:,} faces, got {faces:,}")
+    if everything > len(data):  # each element takes at least a byte
+        raise ValueError(
+            f"its header claims {everything:,} elements, more than its {len(data):,} bytes can hold"
+        )
+    return vertices, faces
+
+
+def _inside(file: str, folder: str) -> Path:
+    """The resolved path of `file`, which must be a regular file that really lies inside `folder`."""
+    root = Path(folder).resolve()
+    try:
+        path = (root / file).resolve()
+    except (OSError, ValueError, RuntimeError):  # embedded zeros, endless links
+        raise ValueError(f"expected the name of a file, got {file!r}") from None
+    if not path.is_relative_to(root):
+        raise ValueError(f"expected a file inside the scene's folder, got {file!r}")
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"expected one of {', '.join(SUFFIXES)}, got {file!r}")
+    return path
+
+
+def _bytes(path: Path, file: str) -> bytes:
+    try:
+        if not path.is_file():
+            raise ValueError(f"{file}: no such file")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ValueError(f"{file}: cannot be read: {error.strerror}") from None
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{file}: expected at most {MAX_BYTES // 10**6} MB, got more")
+    return data
+
+
+# What a file claims: (vertices, faces, all elements that a header announces)
+
+
+def _count_obj(data: bytes) -> tuple[int, int, int]:
+    return len(re.findall(rb"^[ \t]*v[ \t]", data, re.M)), len(re.findall(rb"^[ \t]*f[ \t]", data, re.M)), 0
+
+
+def _count_ply(data: bytes) -> tuple[int, int, int]:
+    header = data[: max(data.find(b"end_header"), 0)]
+    found = re.findall(rb"^element[ \t]+(\S+)[ \t]+([0-9]+)", header, re.M)
+    counts = {name: int(number) for name, number in found}
+    return counts.get(b"vertex", 0), counts.get(b"face", 0), sum(counts.values())
+
+
+def _count_stl(data: bytes) -> tuple[None, int, int]:
+    claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
+    if len(data) == 84 + 50 * claimed:
+        return None, claimed, 0
+    return None, len(re.findall(rb"^\s*endfacet", data, re.M | re.I)), 0
+
+
+def _count_off(data: bytes) -> tuple[int, int, int]:
+    found = re.match(rb"\s*C?OFF\s+(?:#[^\n]*\n\s*)*([0-9]+)[ \t]+([0-9]+)", data)
+    if not found:
+        raise ValueError("expected OFF and the numbers of vertices and faces at its start")
+    vertices, faces = int(found[1]), int(found[2])
+    return vertices, faces, vertices + faces
+
+
+_COUNTERS = {".obj": _count_obj, ".ply": _count_ply, ".stl": _count_stl, ".off": _count_off}
+
+
+# Readers: bytes to (n, 3) float64 vertices in file units and (m, 3) triangles
+
+
+def _read_obj(data: bytes) -> Arrays:
+    """Vertices and faces of a Wavefront .obj; materials, groups, normals and texture coordinates are left."""
+    vertices: list[tuple[float, float, float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    for number, words in _obj_lines(data):
+        try:
+            if words[0] == "v":
+                x, y, z = map(float, words[1:4])
+                vertices.append((x, y, z))
+            elif words[0] == "f":
+                triangles += _fan([_obj_index(word, len(vertices)) for word in words[1:]])
+        except (ValueError, OverflowError):
+            expected = "three numbers" if words[0] == "v" else "three or more vertex numbers"
+            raise ValueError(f"line {number}: expected {expected}, got {' '.join(words)[:60]!r}") from None
+        if len(triangles) > MAX_TRIANGLES:
+            raise ValueError(f"expected at most {MAX_TRIANGLES:,} triangles, got more")
+    return np.array(vertices, dtype=float).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
+
+
+def _obj_lines(data: bytes) -> Iterator[tuple[int, list[str]]]:
+    """The words of each line that has any, comments left out and continued lines joined."""
+    held = ""
+    for number, line in enumerate(data.decode("utf-8", errors="replace").splitlines(), 1):
+        line = held + line.partition("#")[0]
+        held = ""
+        if line.endswith("\\"):
+            held = line[:-1] + " "
+        elif words := line.split():
+            yield number, words
+
+
+def _obj_index(word: str, count: int) -> int:
+    """The vertex that `7`, `7/1/2`, `7//2` or `-1` (the latest) means, from 0."""
+    index = int(word.partition("/")[0])
+    if index == 0 or index < -count or index > MAX_VERTICES:
+        raise ValueError
+    return index - 1 if index > 0 else count + index
+
+
+def _fan(corners: list[int]) -> list[tuple[int, int, int]]:
+    if len(corners) < 3:
+        raise ValueError
+    first = corners[0]
+    return [(first, b, c) for b, c in pairwise(corners[1:])]
+
+
+def _read_with_trimesh(data: bytes, suffix: str) -> Arrays:
+    import trimesh
+
+    if suffix == ".ply" and b"end_header" not in data:
+        raise ValueError("expected a PLY header that ends with end_header")
+    try:
+        # No resolver and no materials: nothing but these bytes is looked at, on disk or elsewhere.
+        mesh = trimesh.load_mesh(
+            io.BytesIO(data),
+            file_type=suffix[1:],
+            process=False,
+            maintain_order=True,
+            skip_materials=True,
+            fix_texture=False,
+            resolver=None,
+        )
+        vertices, triangles = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
+    except Exception as error:  # whatever a reader makes of broken bytes, it is the file that is wrong
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"cannot be read as {suffix}: {reason}") from None
+    if vertices.size == 0 or triangles.size == 0:
+        raise ValueError("expected triangles, got none")
+    return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.int64)
+
+
+# Checks
+
+
+def _check_indices(vertices: np.ndarray, triangles: np.ndarray) -> None:
+    if len(triangles) == 0:
+        raise ValueError("expected triangles, got none")
+    wrong = ((triangles < 0) | (triangles >= len(vertices))).any(axis=1)
+    if wrong.any():
+        face = int(np.argmax(wrong))
+        raise ValueError(
+            f"triangle {face}: expected vertices 0 to {len(vertices) - 1}, got {triangles[face].tolist()}"
+        )
+    finite = np.isfinite(vertices).all(axis=1)
+    if not finite.all():
+        vertex = int(np.argmin(finite))
+        raise ValueError(f"vertex {vertex}: expected finite numbers, got {vertices[vertex].tolist()}")
+
+
+def _welded(vertices: np.ndarray, triangles: np.ndarray) -> Arrays:
+    """One vertex for all corners at exactly the same place, numbered as they first appear.
+
+    An .stl repeats each vertex in every triangle, to the same bits.
+    """
+    places, first, which = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty(len(places), dtype=np.int64)
+    number[order] = np.arange(len(places))
+    return places[order], number[which.ravel()][triangles]
+
+
+def _size_warnings(vertices: np.ndarray) -> list[str]:
+    """Refuse sizes that cannot be meant; warn of one that is likely a matter of units."""
+    farthest = float(np.abs(vertices).max())
+    if farthest > FARTHEST:
+        raise ValueError(f"expected coordinates within ±{FARTHEST:g} m, got {farthest:g} ({MILLIMETRES})")
+    size = float(np.ptp(vertices, axis=0).max())
+    if size < SMALLEST:
+        raise ValueError(f"expected a size of at least {SMALLEST:g} m, got {size:g} (scale = 1000?)")
+    return [f"{size:,.0f} m across ({MILLIMETRES})"] if size > HUGE else []

@@ -1,0 +1,125 @@
+"""The mechanical model of a scene at given settings: masses, springs, and the matrix they fill."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.contact.gap import GapSprings
+from sim.elements import elastic_energy, set_damping, set_matrix_factors, set_tension
+from sim.mesh import Mesh, vertex_masses
+from sim.settings import Settings
+from sim.solve.system import add_elements, add_forces, build_system, reset
+from sim.springs.build import Springs, build_springs, kinds_in_force
+
+
+class Model:
+    """Springs and masses on a mesh.
+
+    Attributes:
+        masses: (n,) [kg].
+        inverse_masses: (n,) [1/kg], zero for fixed vertices.
+        free: (n,) bool, false for pinned vertices.
+        free_mass: Sum of the masses of free vertices [kg].
+        piece_masses: (pieces,) [kg].
+        springs: one per kind in force.
+        matrix: A, filled by `linearise`.
+        inverse_diagonal: (n, 3, 3) room for the preconditioner.
+    """
+
+    def __init__(self, mesh: Mesh, settings: Settings) -> None:
+        self.mesh = mesh
+        self.settings = settings
+        n = len(mesh.vertices)
+        self.free = np.ones(n, dtype=bool)
+        self.free[mesh.pinned] = False
+        self.inverse_diagonal = np.zeros((n, 3, 3))
+        self._forces = np.zeros((n, 3))
+        self._set_masses()
+        self._set_springs()
+
+    def apply(self, settings: Settings, positions: np.ndarray) -> None:
+        """Take over new settings; a new spring kind starts from the present `positions` (n, 3)."""
+        old, self.settings = self.settings, settings
+        if (old.mass, old.density) != (settings.mass, settings.density):
+            self._set_masses()
+        if kinds_in_force(old) != kinds_in_force(settings):
+            known = {s.name: s for s in self.springs}
+            self._set_springs(known)
+            self.remember(positions, [s for s in self.springs if s.name not in known])
+        for springs in self.springs:
+            springs.apply(settings)
+
+    def _set_masses(self) -> None:
+        self.masses = vertex_masses(self.mesh, self.settings.mass, self.settings.density)
+        self.inverse_masses = np.where(self.free, 1.0 / self.masses, 0.0)
+        self.free_mass = float(self.masses[self.free].sum())
+        self.piece_masses = np.bincount(self.mesh.pieces, self.masses)
+
+    def _set_springs(self, known: dict[str, Springs] | None = None) -> None:
+        known = known or {}
+        kinds = kinds_in_force(self.settings)
+        self.springs = [
+            known.get(name) or build_springs(name, kind, self.mesh) for name, kind in kinds.items()
+        ]
+        for springs in self.springs:
+            springs.apply(self.settings)
+        stencils = [s.elements.nodes for s in self.springs]
+        self.matrix, self._gathers = build_system(len(self.masses), stencils)
+
+    def linearise(
+        self, positions: np.ndarray, velocities: np.ndarray, contacts: GapSprings, h: float
+    ) -> np.ndarray:
+        """Fill the matrix M + h D + h² H at `positions` and return the forces (n, 3) [N] there."""
+        self.measure(positions)
+        self._forces[:] = self.masses[:, None] * np.asarray(self.settings.gravity)
+        reset(self.matrix, self.masses)
+        for springs, gather in zip(self.springs, self._gathers, strict=True):
+            set_damping(springs.elements, self.inverse_masses, self.settings.gamma)
+            set_tension(springs.elements, velocities)
+            set_matrix_factors(springs.elements, h, springs.kind.is_length)
+            add_elements(springs.elements, gather, self.matrix)
+            add_forces(springs.elements, gather, self._forces)
+        contacts.linearise(positions, velocities, h, self.matrix, self._forces)
+        return self._forces
+
+    def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+        """(n, 3) elastic, damping and gravity forces [N]."""
+        self.measure(positions)
+        forces = self.masses[:, None] * np.asarray(self.settings.gravity)
+        for springs, gather in zip(self.springs, self._gathers, strict=True):
+            set_damping(springs.elements, self.inverse_masses, self.settings.gamma)
+            set_tension(springs.elements, velocities)
+            add_forces(springs.elements, gather, forces)
+        return forces
+
+    def energies(self, positions: np.ndarray) -> dict[str, float]:
+        """Potential energy [J] of gravity (zero at the origin) and of each spring kind."""
+        self.measure(positions)
+        gravity = -float(self.masses @ (positions @ np.asarray(self.settings.gravity)))
+        return {"gravity": gravity, **{s.name: float(elastic_energy(s.elements)) for s in self.springs}}
+
+    def potential(self, positions: np.ndarray, contacts: GapSprings) -> float:
+        """Potential energy [J] of everything that the implicit step feels."""
+        return sum(self.energies(positions).values()) + contacts.energy(positions)
+
+    def measure(self, positions: np.ndarray) -> None:
+        """Evaluate every spring's coordinate and gradient at `positions`."""
+        for springs in self.springs:
+            springs.measure(positions)
+
+    def remember(self, positions: np.ndarray, springs: list[Springs] | None = None) -> None:
+        """Accept `positions`: what the coordinates remember of them is kept for the next step."""
+        for s in self.springs if springs is None else springs:
+            s.measure(positions)
+            s.elements.memory[:] = s.elements.new_memory
+
+    def memory(self) -> dict[str, np.ndarray]:
+        """A copy of what the coordinates remember, by kind."""
+        return {s.name: s.elements.memory.copy() for s in self.springs}
+
+    def restore_memory(self, memory: dict[str, Any]) -> None:
+        """Put back what `memory` returned."""
+        for s in self.springs:
+            s.elements.memory[:] = memory[s.name]

@@ -1,0 +1,126 @@
+"""What is wrong with a table, in the words of the person who wrote it.
+
+msgspec says at which path a value was refused and by which single bound; this adds both bounds, the allowed
+names, the key that was probably meant, and the value found.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from typing import Any
+
+import msgspec
+from msgspec import inspect
+
+_WORDS = {
+    r"\barray": "an array",
+    r"\bobject": "a table",
+    r"\bstr\b": "a string",
+    r"\bint\b": "a whole number",
+    r" \| ": " or ",
+}
+"""msgspec's words for types, and those of people who write scene files."""
+
+
+def in_words(message: str, table: Any, root: type[msgspec.Struct]) -> str:
+    """One line `path: expected …, got …`.
+
+    Args:
+        message: Of the msgspec.ValidationError that converting `table` to `root` raised.
+        table: What was converted.
+        root: The struct that it was converted to.
+    """
+    text, _, path = message.partition(" - at `$")
+    if " - at `key`" in message:
+        return "expected keys that are strings"
+    path = path.rstrip("`").lstrip(".")
+    found, kind = _found(path, table, root)
+    got = f"got {_shown(found)}"
+    field_name = re.search(r"field `([^`]*)`", text)
+    if field_name and "unknown" in text:
+        path = f"{path}.{field_name[1]}".lstrip(".")
+        return f"{path}: no such key; {_nearest(field_name[1], _keys(kind, found))}"
+    if field_name:
+        keys = _shown(sorted(map(str, found or ())))
+        return f"{path or 'scene'}: expected a key {field_name[1]!r}, got {keys}"
+    if (path.endswith("kind") and "Invalid value" in text) or "Invalid enum value" in text:
+        return f"{path}: expected {_one_of(kind)}, {got}"
+    if isinstance(kind, inspect.FloatType | inspect.IntType):
+        return f"{path}: expected {_range(kind)}, {got}"
+    expected = text.partition(", got ")[0].replace("`", "").removeprefix("Expected ")
+    for theirs, ours in _WORDS.items():
+        expected = re.sub(theirs, ours, expected)
+    return f"{path}: expected {expected}, {got}"
+
+
+def _found(path: str, table: Any, root: type[msgspec.Struct]) -> tuple[Any, inspect.Type | None]:
+    """What stands at `path` of the table, and the type that belongs there."""
+    kind: inspect.Type | None = inspect.type_info(root)
+    found = table
+    for part in re.findall(r"[^.\[\]]+", path):
+        kind = _inner(_member(kind, found), part)
+        try:
+            found = found[int(part)] if isinstance(found, list | tuple) else found[part]
+        except (LookupError, ValueError, TypeError):
+            return None, kind
+    return found, _member(kind, found)
+
+
+def _member(kind: inspect.Type | None, found: Any) -> inspect.Type | None:
+    """Of a union, the member that is meant: the struct of that `kind`, or the one that is not None."""
+    if not isinstance(kind, inspect.UnionType):
+        return kind
+    structs = [t for t in kind.types if isinstance(t, inspect.StructType)]
+    tag = found.get("kind") if isinstance(found, dict) else None
+    chosen = next((t for t in structs if t.tag == tag and tag is not None), None)
+    others = [t for t in kind.types if not isinstance(t, inspect.NoneType)]
+    return chosen or (kind if len(others) > 1 else others[0])
+
+
+def _inner(kind: inspect.Type | None, part: str) -> inspect.Type | None:
+    if isinstance(kind, inspect.StructType):
+        return next((f.type for f in kind.fields if f.encode_name == part), None)
+    if isinstance(kind, inspect.UnionType) and part == "kind":
+        return kind
+    if isinstance(kind, inspect.TupleType) and part.isdigit() and int(part) < len(kind.item_types):
+        return kind.item_types[int(part)]
+    return getattr(kind, "item_type", None)
+
+
+def _keys(kind: inspect.Type | None, found: Any) -> list[str]:
+    names = [f.encode_name for f in kind.fields] if isinstance(kind, inspect.StructType) else []
+    hidden = {"folder"} | (set() if isinstance(found, dict) and "kind" in found else {"kind"})
+    return [name for name in names if name not in hidden]
+
+
+def _nearest(name: str, known: list[str]) -> str:
+    """The likeliest of the `known` names for a mistyped one, or all of them."""
+    close = difflib.get_close_matches(name, known, n=2)
+    return f"did you mean {' or '.join(close)}?" if close else f"expected one of {', '.join(known)}"
+
+
+def _one_of(kind: inspect.Type | None) -> str:
+    if isinstance(kind, inspect.UnionType):
+        values = [t.tag for t in kind.types if isinstance(t, inspect.StructType)]
+    else:
+        values = getattr(kind, "values", ())
+    prefix = "one of " if len(values) > 1 else ""
+    return prefix + ", ".join(json.dumps(value) for value in values)
+
+
+def _range(kind: inspect.FloatType | inspect.IntType) -> str:
+    bounds = [
+        f"≥ {kind.ge:g}" if kind.ge is not None else "",
+        f"≤ {kind.le:g}" if kind.le is not None else "",
+    ]
+    words = " and ".join(filter(None, bounds))
+    if isinstance(kind, inspect.IntType):
+        return f"a whole number {words}".strip()
+    return words or "a finite number"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) < 80 else text[:77] + "…"

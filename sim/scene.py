@@ -1,0 +1,318 @@
+"""Scenes: what is simulated, as a typed, bounded definition read from TOML or from a dict of the same shape.
+
+Everything is checked here, once: a scene that loads can be simulated. Errors are one line that names the
+file, the key, what was expected and what was found. Lengths are in metres, angles in radians, times in
+seconds; a rotation is a rotation vector (axis times angle).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, field
+
+from sim.refusal import in_words
+from sim.settings import FIELDS, Settings, convert
+
+SCENES = Path(__file__).resolve().parent.parent / "static_scenes"
+"""The folder of the scenes that come with Muslin."""
+
+MAX_VERTICES = 200_000
+"""Cloth larger than this is refused before anything is allocated for it."""
+
+MAX_BYTES = 1_000_000
+"""Scene files larger than this are refused before they are read; meshes go into files of their own."""
+
+Vector = tuple[float, float, float]
+Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Length = Annotated[float, Meta(ge=1e-4, le=1e3)]
+Count = Annotated[int, Meta(ge=2, le=2000)]
+Density = Annotated[float, Meta(ge=1e-4, le=1e3)]
+
+
+class SceneError(ValueError):
+    """A scene that cannot be used; the message is one line: file, key, expected, found."""
+
+
+class _Part(msgspec.Struct, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
+    """Base of the tables of a scene file."""
+
+
+class _Cloth(_Part, kw_only=True):
+    name: str = ""
+    position: Point = (0.0, 0.0, 0.0)
+    """Where the centre of a grid, or the origin of a mesh, is put."""
+    rotation: Vector = (0.0, 0.0, 0.0)
+    """Rotation vector, applied about that point; unrotated grids lie in the x–y plane."""
+    pins: list[int | str] = []
+    """Vertices that stay where they start: indices, or a grid's "corner00" … "corner11", "left" … "top"."""
+    density: Density | None = None
+    """Mass per area [kg/m²] of this piece, where it differs from the setting."""
+
+
+class Grid(_Cloth, kw_only=True, tag="grid"):
+    """A rectangle of right triangles with alternating diagonals; x varies fastest in the numbering."""
+
+    size: tuple[Length, Length] = (1.0, 1.0)
+    resolution: tuple[Count, Count] = (32, 32)
+
+
+class Equilateral(_Cloth, kw_only=True, tag="equilateral"):
+    """A rectangle of (nearly) equilateral triangles with straight sides: odd rows have one vertex more.
+
+    The triangles are exactly equilateral where size[1] / (resolution[1] − 1) is √3/2 of
+    size[0] / (resolution[0] − 1).
+    """
+
+    size: tuple[Length, Length] = (1.0, 1.0)
+    resolution: tuple[Count, Count] = (32, 37)
+
+
+class MeshFile(_Cloth, kw_only=True, tag="mesh"):
+    """A triangle mesh from a file (.obj, .ply, .stl, .off) beside the scene file."""
+
+    file: str
+    scale: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
+
+
+class Arrays(_Cloth, kw_only=True, tag="arrays"):
+    """Explicit arrays, for scenes made in code."""
+
+    vertices: Any
+    triangles: Any = None
+    edges: Any = None
+    masses: Any = None
+    rest_vertices: Any = None
+
+
+class Key(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """Where an obstacle is at a time."""
+
+    time: Annotated[float, Meta(ge=0.0, le=1e6)]
+    position: Point | None = None
+    """Of the obstacle's reference point; where left out, the place that the obstacle is defined at."""
+    rotation: Vector = (0.0, 0.0, 0.0)
+    """Rotation vector about the reference point; several turns are allowed."""
+
+
+class _Obstacle(_Part, kw_only=True):
+    name: str = ""
+    path: list[Key] = []
+    """Keys in order of time; before the first and after the last the obstacle stands still."""
+    repeat: bool = False
+    """Start again at the first key after the last one."""
+    motion: Literal["smooth", "linear"] = "smooth"
+    """Between keys: ease in and out, or constant velocity."""
+
+
+class Sphere(_Obstacle, kw_only=True, tag="sphere"):
+    """A solid ball; its reference point is its centre."""
+
+    center: Point
+    radius: Length
+
+    @property
+    def reference(self) -> Vector:
+        """The point that a path moves and about which it turns."""
+        return self.center
+
+
+class Plane(_Obstacle, kw_only=True, tag="plane"):
+    """A half-space: solid on the side that the normal points away from."""
+
+    point: Point = (0.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
+
+    @property
+    def reference(self) -> Vector:
+        """The point that a path moves and about which it turns."""
+        return self.point
+
+
+class Box(_Obstacle, kw_only=True, tag="box"):
+    """A solid box, unrotated unless a path turns it; its reference point is its centre."""
+
+    center: Point
+    size: tuple[Length, Length, Length]
+
+    @property
+    def reference(self) -> Vector:
+        """The point that a path moves and about which it turns."""
+        return self.center
+
+
+class Capsule(_Obstacle, kw_only=True, tag="capsule"):
+    """All points within `radius` of a segment; its reference point is the segment's middle."""
+
+    start: Point
+    end: Point
+    radius: Length
+
+    @property
+    def reference(self) -> Vector:
+        """The point that a path moves and about which it turns."""
+        (a, b, c), (d, e, f) = self.start, self.end
+        return (a + d) / 2, (b + e) / 2, (c + f) / 2
+
+
+Cloth = Grid | Equilateral | MeshFile | Arrays
+Obstacle = Sphere | Plane | Box | Capsule
+
+
+class Lesson(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """What a person should see in a scene."""
+
+    title: str
+    look_for: str = ""
+    tries: list[str] = field(default_factory=list, name="try")
+
+
+class Camera(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """Where a viewer stands at first, for one cloth at its place."""
+
+    position: Point
+    look_at: Point = (0.0, 0.0, 0.0)
+
+
+class Compare(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """What the variants differ in when the scene is opened."""
+
+    by: str = "contact"
+    values: list[Any] = field(default_factory=lambda: ["penalty", "impulse"])
+
+
+class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A whole scene. `folder` is where its mesh files are looked for."""
+
+    format: Literal[1] = 1
+    name: str = ""
+    cloth: list[Cloth]
+    obstacle: list[Obstacle] = []
+    settings: Settings = Settings()
+    lesson: Lesson | None = None
+    camera: Camera | None = None
+    compare: Compare = field(default_factory=Compare)
+    folder: str = ""
+
+
+def scene_files() -> list[Path]:
+    """The scene files that come with Muslin, by name."""
+    return sorted(SCENES.glob("*.toml"))
+
+
+def find_scene(name: str | Path) -> Path:
+    """The file that `name` means: a path, or the name of a scene that comes with Muslin."""
+    path = Path(name)
+    shipped = SCENES / f"{path.name.removesuffix('.toml')}.toml"
+    if not path.exists() and len(path.parts) == 1 and shipped.exists():
+        return shipped
+    return path
+
+
+def load_scene(source: str | Path | dict[str, Any]) -> Scene:
+    """Read and check a scene.
+
+    Args:
+        source: Path of a TOML file, the name of a scene that comes with Muslin, or a dict of the same shape.
+
+    Raises:
+        SceneError: one line with the file, the key, what was expected and what was found.
+    """
+    if isinstance(source, Scene):
+        return source
+    if isinstance(source, dict):
+        return _checked({"folder": str(Path.cwd()), **source}, "scene", "scene")
+    path = find_scene(source)
+    table = _toml(path, str(source))
+    if "folder" in table:
+        raise SceneError(f"{source}: folder: no such key; mesh files are looked for beside the scene file")
+    return _checked({**table, "folder": str(path.resolve().parent)}, str(source), path.stem)
+
+
+def _toml(path: Path, where: str) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(data) > MAX_BYTES:
+        raise SceneError(f"{where}: expected at most {MAX_BYTES // 10**6} MB, got more")
+    try:
+        return tomllib.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"{where}: not TOML: {' '.join(str(error).split())}") from None
+
+
+def _checked(table: dict[str, Any], where: str, name: str) -> Scene:
+    table = {**table, "name": table.get("name", name)}
+    table["cloth"] = _cloth_list(table.get("cloth", []), where)
+    table["settings"] = _settings(table.get("settings", {}), where)
+    try:
+        scene = msgspec.convert(table, Scene)
+    except msgspec.ValidationError as error:
+        raise SceneError(f"{where}: {in_words(str(error), table, Scene)}") from None
+    for key, reason in _problems(scene):
+        raise SceneError(f"{where}: {key}: {reason}")
+    return scene
+
+
+def _cloth_list(cloth: Any, where: str) -> list[Any]:
+    cloth = cloth if isinstance(cloth, list) else [cloth]
+    if not cloth:
+        raise SceneError(f"{where}: cloth: expected at least one piece, got none")
+    return [{"kind": "arrays", **c} if isinstance(c, dict) and "vertices" in c else c for c in cloth]
+
+
+def _settings(table: Any, where: str) -> Settings:
+    if not isinstance(table, dict):
+        raise SceneError(f"{where}: settings: expected a table of settings, got {table!r}")
+    try:
+        return Settings(**{name: convert(name, value) for name, value in table.items()})
+    except ValueError as error:
+        raise SceneError(f"{where}: settings.{error}") from None
+
+
+def _problems(scene: Scene):
+    """What types and bounds cannot say, as (key, reason)."""
+    for i, cloth in enumerate(scene.cloth):
+        if not all(map(math.isfinite, (*cloth.position, *cloth.rotation))):
+            yield f"cloth[{i}]", "position and rotation must be finite"
+        for k, pin in enumerate(cloth.pins):
+            if isinstance(pin, int) and pin < 0:
+                yield f"cloth[{i}].pins[{k}]", f"expected a vertex index ≥ 0 or the name of a side, got {pin}"
+        if isinstance(cloth, Grid | Equilateral) and math.prod(cloth.resolution) > MAX_VERTICES:
+            yield (
+                f"cloth[{i}].resolution",
+                f"expected at most {MAX_VERTICES} vertices, got {math.prod(cloth.resolution)}",
+            )
+    for i, obstacle in enumerate(scene.obstacle):
+        numbers = [
+            v
+            for value in msgspec.structs.astuple(obstacle)
+            for v in (value if isinstance(value, tuple) else ())
+        ]
+        keys = [v for key in obstacle.path for v in (*key.rotation, *(key.position or ()))]
+        if not all(map(math.isfinite, numbers + keys)):
+            yield f"obstacle[{i}]", "every number must be finite"
+        times = [key.time for key in obstacle.path]
+        if any(later <= sooner for sooner, later in pairwise(times)):
+            yield f"obstacle[{i}].path", f"expected times that increase, got {times}"
+        if obstacle.repeat and len(times) < 2:
+            yield f"obstacle[{i}].repeat", "expected a path of at least two keys to repeat"
+        if isinstance(obstacle, Plane) and math.hypot(*obstacle.normal) < 1e-9:
+            yield f"obstacle[{i}].normal", f"expected a direction, got {list(obstacle.normal)}"
+    if scene.compare.by not in FIELDS:
+        yield "compare.by", f"expected one of {', '.join(FIELDS)}, got {scene.compare.by!r}"
+    if not 1 <= len(scene.compare.values) <= 4:
+        yield "compare.values", f"expected 1 to 4 values, got {len(scene.compare.values)}"
+    for i, value in enumerate(scene.compare.values):
+        try:
+            convert(scene.compare.by, value)
+        except ValueError as error:
+            yield f"compare.values[{i}]", str(error)

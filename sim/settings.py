@@ -1,0 +1,392 @@
+"""The settings of a simulation: one typed, bounded, documented definition.
+
+Validation with a path in the error, TOML, the page's sliders and tooltips, the command line and the
+parameter table in the docs are all read from here; nothing else lists the settings.
+"""
+
+import json
+import math
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from sim.springs import BENDING
+
+
+def number(
+    default_unit: str,
+    group: str,
+    description: str,
+    *,
+    ge: float | None = None,
+    le: float | None = None,
+    scale: str = "linear",
+    slider: tuple[float, float] | None = None,
+    label: str = "",
+    formula: str = "",
+    cost: str = "",
+) -> Meta:
+    """The bounds and the words of a numeric setting; `slider` is the useful part of the allowed range."""
+    extra = {"unit": default_unit, "group": group, "scale": scale, "slider": slider, "label": label}
+    return Meta(ge=ge, le=le, description=description, extra={**extra, "formula": formula, "cost": cost})
+
+
+def choice(
+    group: str,
+    description: str,
+    *,
+    choices: Callable[[], dict[str, str]] | None = None,
+    label: str = "",
+    cost: str = "",
+) -> Meta:
+    """The words of an enumerated setting; `choices` gives an open set of values and what each one means."""
+    extra = {"unit": "", "group": group, "choices": choices, "label": label, "formula": "", "cost": cost}
+    return Meta(description=description, extra=extra)
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything that may change while a simulation runs. Immutable: a change makes a new value."""
+
+    gamma: Annotated[
+        float,
+        number(
+            "",
+            "Cloth",
+            "Damping ratio γ of every spring: below 1 it rings, at 1 it is critical, above 1 it creeps.",
+            ge=0.0,
+            le=1000.0,
+            slider=(0.0, 2.0),
+            label="damping ratio γ",
+            formula="b = γ · 2 √(μ K), 1/μ = Σ |∇q|² / m",
+            cost="free",
+        ),
+    ] = 0.2
+    rest_angle: Annotated[
+        float,
+        number(
+            "rad",
+            "Cloth",
+            "Fold angle θ₀ at which every hinge is at rest; the sign says to which side it curls.",
+            ge=-math.pi,
+            le=math.pi,
+            slider=(-1.5, 1.5),
+            label="rest angle θ₀",
+            formula="q₀ = q(rest hinge folded to θ₀)",
+            cost="free",
+        ),
+    ] = 0.0
+    stretch: Annotated[
+        float,
+        number(
+            "N",
+            "Cloth",
+            "Stretch stiffness k of the edge springs; the spring constant is k divided by the rest length.",
+            ge=0.0,
+            le=1e8,
+            scale="log",
+            slider=(1.0, 1e4),
+            label="stretch stiffness",
+            formula="E = ½ (k / l₀) (l − l₀)²",
+            cost="stiffer cloth needs more solver iterations",
+        ),
+    ] = 50.0
+    bend: Annotated[
+        str,
+        choice(
+            "Cloth",
+            "Which coordinate of a hinge resists bending.",
+            choices=lambda: {"none": "no bending resistance"} | {k: v.summary for k, v in BENDING.items()},
+            label="bending spring",
+            cost="angle springs couple all four vertices of a hinge, cross springs two",
+        ),
+    ] = "angle"
+    bending: Annotated[
+        float,
+        number(
+            "N·m",
+            "Cloth",
+            "Bending stiffness c, one number for all kinds: they agree for small folds. Cross springs have no "
+            "linear stiffness when flat, so they are matched at a fold of 60°.",
+            ge=0.0,
+            le=1e4,
+            scale="log",
+            slider=(1e-6, 1e-1),
+            label="bending stiffness",
+            formula="E = ½ c w (θ − θ₀)², w = |e| / (h₁ + h₂)",
+            cost="free unless very stiff",
+        ),
+    ] = 1e-4
+    mass: Annotated[
+        Literal["area", "constant"],
+        choice(
+            "Cloth",
+            "How the mass is shared out: a third of each triangle to its corners, or the same to every vertex.",
+            label="mass lumping",
+            cost="the same",
+        ),
+    ] = "area"
+    density: Annotated[
+        float,
+        number(
+            "kg/m²",
+            "Cloth",
+            "Mass per area of cloth; a piece may carry its own.",
+            ge=1e-4,
+            le=1e3,
+            scale="log",
+            slider=(0.02, 2.0),
+            label="density",
+            formula="m = Σ ρ A / 3",
+            cost="free",
+        ),
+    ] = 0.2
+    gravity: Annotated[
+        tuple[float, float, float],
+        number("m/s²", "Cloth", "Acceleration that acts on every vertex.", label="gravity", cost="free"),
+    ] = (0.0, 0.0, -9.81)
+    contact: Annotated[
+        Literal["none", "penalty", "impulse"],
+        choice(
+            "Contact",
+            "How cloth answers an obstacle: penalty springs in the implicit system (soft, no guarantee), "
+            "or the same and then impulses that leave no vertex inside.",
+            label="collision method",
+            cost="impulses add a second detection",
+        ),
+    ] = "impulse"
+    detection: Annotated[
+        Literal["static", "continuous"],
+        choice(
+            "Contact",
+            "Look for contacts at the start of a step only, or along the whole way of each vertex, "
+            "so that nothing fast is missed.",
+            label="detection",
+            cost="continuous costs a few times static",
+        ),
+    ] = "continuous"
+    thickness: Annotated[
+        float,
+        number(
+            "m",
+            "Contact",
+            "Distance that cloth keeps from obstacles.",
+            ge=1e-5,
+            le=0.1,
+            scale="log",
+            slider=(1e-3, 5e-2),
+            label="thickness",
+            formula="gap < thickness is a contact",
+            cost="free",
+        ),
+    ] = 5e-3
+    friction: Annotated[
+        float,
+        number(
+            "",
+            "Contact",
+            "Coulomb friction coefficient μ between cloth and obstacles.",
+            ge=0.0,
+            le=10.0,
+            slider=(0.0, 1.0),
+            label="friction",
+            formula="|Jₜ| ≤ μ Jₙ",
+            cost="free",
+        ),
+    ] = 0.3
+    integrator: Annotated[
+        Literal["backward_euler"],
+        choice("Solver", "Time integration method.", label="integrator"),
+    ] = "backward_euler"
+    dt: Annotated[
+        float,
+        number(
+            "s",
+            "Solver",
+            "Time step h. Backward Euler adds a damping of its own of about h ω / 2.",
+            ge=1e-6,
+            le=1.0,
+            scale="log",
+            slider=(1e-3, 1 / 30),
+            label="time step",
+            formula="M (v − v̂) = h f(x̂ + h v, v)",
+            cost="half the step, twice the steps",
+        ),
+    ] = 1 / 60
+    newton: Annotated[
+        int,
+        number(
+            "",
+            "Solver",
+            "Largest number of Newton iterations per step; 1 is the linearised step.",
+            ge=1,
+            le=100,
+            slider=(1, 10),
+            label="Newton iterations",
+            cost="each one is an assembly and a linear solve",
+        ),
+    ] = 1
+    tolerance: Annotated[
+        float,
+        number(
+            "m",
+            "Solver",
+            "Position error that a linear solve may leave.",
+            ge=1e-12,
+            le=1e-2,
+            scale="log",
+            slider=(1e-7, 1e-3),
+            label="tolerance",
+            formula="estimated |x − x*| ≤ tolerance",
+            cost="each digit costs more solver iterations",
+        ),
+    ] = 1e-4
+    threads: Annotated[
+        int,
+        number(
+            "",
+            "Solver",
+            "Processor threads for one simulation; the result is the same to the bit for any number.",
+            ge=1,
+            le=256,
+            slider=(1, 4),
+            label="threads",
+        ),
+    ] = 1
+    jitter: Annotated[
+        float,
+        number(
+            "m",
+            "Solver",
+            "Size of the seeded random offsets of the start positions, to break symmetry on purpose.",
+            ge=0.0,
+            le=1e-2,
+            scale="log",
+            slider=(1e-8, 1e-3),
+            label="start jitter",
+        ),
+    ] = 0.0
+    seed: Annotated[
+        int, number("", "Solver", "Seed of everything random.", ge=0, le=2**31 - 1, label="seed")
+    ] = 0
+
+    def __post_init__(self) -> None:
+        for name, field in FIELDS.items():
+            field.check(getattr(self, name))
+
+
+@dataclass(frozen=True)
+class Field:
+    """What the page, the command line and the docs need to know about one setting."""
+
+    name: str
+    type: str  # "number", "integer", "vector" or "choice"
+    default: Any
+    unit: str
+    group: str
+    label: str
+    description: str
+    formula: str
+    cost: str
+    scale: str = "linear"
+    minimum: float | None = None
+    maximum: float | None = None
+    slider: tuple[float, float] | None = None
+    choices: Callable[[], dict[str, str]] | None = None
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values in words, as error messages and tooltips print them."""
+        if self.choices is not None:
+            return "one of " + ", ".join(f'"{name}"' for name in self.choices())
+        if self.type == "vector":
+            return "three finite numbers"
+        bounds = [f"≥ {self.minimum:g}" if self.minimum is not None else ""]
+        bounds += [f"≤ {self.maximum:g}" if self.maximum is not None else ""]
+        whole = "a whole number " if self.type == "integer" else ""
+        return whole + (" and ".join(filter(None, bounds)) or "a finite number")
+
+    def check(self, value: Any) -> None:
+        """Raise ValueError where types and bounds alone let a wrong value pass."""
+        numbers = value if isinstance(value, tuple) else (value,)
+        finite = all(math.isfinite(v) for v in numbers if isinstance(v, float))
+        if not finite or (self.choices is not None and value not in self.choices()):
+            raise ValueError(self.refusal(value))
+
+    def refusal(self, value: Any) -> str:
+        """The line that says why `value` cannot be had."""
+        return f"{self.name}: expected {self.allowed}, got {value!r}"
+
+    def clamp(self, value: float) -> float:
+        """The nearest allowed number; raises ValueError for what is not a finite number."""
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ValueError(self.refusal(value))
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        value = min(max(value, low), high)
+        return round(value) if self.type == "integer" else float(value)
+
+
+def _field(name: str, annotation: Any, default: Any) -> Field:
+    base, meta = typing.get_args(annotation)
+    extra = dict(meta.extra)
+    choices = extra.pop("choices", None)
+    if typing.get_origin(base) is Literal:
+        closed = dict.fromkeys(typing.get_args(base), "")
+        choices = lambda: closed  # noqa: E731
+    kind = "choice" if choices else {float: "number", int: "integer"}.get(base, "vector")
+    extra["label"] = extra["label"] or name.replace("_", " ")
+    return Field(
+        name=name,
+        type=kind,
+        default=default,
+        description=meta.description,
+        minimum=meta.ge,
+        maximum=meta.le,
+        choices=choices,
+        **extra,
+    )
+
+
+_ANNOTATIONS = typing.get_type_hints(Settings, include_extras=True)
+
+FIELDS: Mapping[str, Field] = types.MappingProxyType(
+    {f.name: _field(f.name, _ANNOTATIONS[f.name], f.default) for f in msgspec.structs.fields(Settings)}
+)
+"""Every setting by name, in the order in which people should meet them."""
+
+
+def change(settings: Settings, **changes: Any) -> Settings:
+    """New settings with `changes` applied; ValueError names the field, the value and what is allowed."""
+    checked = {name: convert(name, value) for name, value in changes.items()}
+    return msgspec.structs.replace(settings, **checked)
+
+
+def convert(name: str, value: Any) -> Any:
+    """`value` as setting `name` holds it; ValueError names the field, the value and what is allowed."""
+    if name not in FIELDS:
+        raise ValueError(f"{name}: no such setting; the settings are {', '.join(FIELDS)}")
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        value = value.tolist()
+    field = FIELDS[name]
+    try:
+        value = msgspec.convert(value, _ANNOTATIONS[name])
+    except msgspec.ValidationError:
+        raise ValueError(field.refusal(value)) from None
+    field.check(value)
+    return value
+
+
+def parse(name: str, text: str) -> Any:
+    """The value that `text`, as typed on a command line in `name=text`, means for setting `name`."""
+    if name not in FIELDS or FIELDS[name].type == "choice":
+        return convert(name, text)
+    try:
+        value = json.loads(f"[{text.strip('()[] ')}]")
+    except ValueError:
+        raise ValueError(FIELDS[name].refusal(text)) from None
+    return convert(name, value if FIELDS[name].type == "vector" or len(value) != 1 else value[0])

@@ -1,0 +1,169 @@
+"""The one kernel that every implicit integrator calls: backward Euler from (x̂, v̂) over h.
+
+It finds v with x = x̂ + h v and M (v − v̂) = h f(x, v), which minimises the incremental potential
+Φ(v) = ½ ‖v − v̂‖²_M + E(x̂ + h v) + ½ h Σ b q̇². One Newton iteration is the linearised step of Baraff and
+Witkin (1998); more of them, with a line search that never lets Φ grow, converge to the solution.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.compiled import corner, dot, kernel, row
+from sim.contact.gap import GapSprings
+from sim.model import Model
+from sim.settings import Settings
+from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients, invert_diagonal
+
+MOST_ITERATIONS = 5000
+"""Iterations after which a linear solve gives up; what it has then is still a descent direction."""
+
+SUFFICIENT = 1e-4
+"""Part of the predicted decrease of Φ that a step must achieve (Armijo 1966)."""
+
+SHORTEST_STEP = 1e-6
+"""Part of a Newton step below which the line search gives up and keeps what it has."""
+
+
+class SolveError(ArithmeticError):
+    """The linear system could not be solved; the message says which number went wrong."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The end of an implicit step.
+
+    Attributes:
+        positions: (n, 3) [m].
+        velocities: (n, 3) [m/s].
+        iterations: Of the linear solver, summed over Newton iterations.
+        newton: Newton iterations done.
+        residual: Estimated mass-weighted position error of the last linear solve [m].
+        converged: The linear solves reached the tolerance, and Newton did where it may iterate.
+    """
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    iterations: int
+    newton: int
+    residual: float
+    converged: bool
+
+
+def backward_euler(
+    model: Model,
+    contacts: GapSprings,
+    settings: Settings,
+    x_hat: np.ndarray,
+    v_hat: np.ndarray,
+    h: float,
+    start: np.ndarray,
+) -> Solution:
+    """Solve one backward-Euler step from (`x_hat`, `v_hat`) over `h` [s].
+
+    Args:
+        model: Springs, masses and the matrix to assemble into.
+        contacts: Contact coordinates felt by the solve.
+        settings: newton, tolerance and gravity are read.
+        x_hat: (n, 3) [m], equal to `start` on fixed vertices.
+        v_hat: (n, 3) [m/s], zero on fixed vertices.
+        h: Length of the step [s].
+        start: (n, 3) positions to linearise at first [m].
+
+    Raises:
+        SolveError: where the matrix is not positive definite or a number is not finite.
+    """
+    free = model.free
+    velocities = (start - x_hat) / h
+    guess, shortcut = v_hat - velocities, np.where(free[:, None], h * np.asarray(settings.gravity), 0.0)
+    iterations, converged = 0, False
+    for newton in range(1, settings.newton + 1):
+        forces = model.linearise(x_hat + h * velocities, velocities, contacts, h)
+        linear = _solve(model, settings, forces, v_hat - velocities, guess, shortcut, h)
+        iterations += linear.iterations
+        end = velocities + linear.step
+        if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
+            linear = _solve(model, settings, forces, v_hat - velocities, linear.step, np.zeros_like(guess), h)
+            iterations += linear.iterations
+        step = linear.step
+        if settings.newton > 1:
+            descent = model.masses[:, None] * (v_hat - velocities) + h * forces
+            step = _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent)
+        velocities = velocities + step
+        guess, shortcut = np.zeros_like(step), np.zeros_like(step)
+        converged = linear.converged and (
+            settings.newton == 1 or h * np.abs(step).max(initial=0.0) <= settings.tolerance
+        )
+        if converged:
+            break
+    return Solution(x_hat + h * velocities, velocities, iterations, newton, linear.error, converged)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    step: np.ndarray
+    iterations: int
+    error: float
+    converged: bool
+
+
+def _solve(model, settings, forces, change, guess, shortcut, h) -> _Linear:
+    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step."""
+    to_metres = h / math.sqrt(model.free_mass or 1.0)
+    invert_diagonal(model.matrix.diagonal, model.free, model.inverse_diagonal)
+    b = model.masses[:, None] * change + h * forces
+    step = guess.copy()
+    iterations, error, status = conjugate_gradients(
+        model.matrix,
+        model.inverse_diagonal,
+        model.free,
+        b,
+        step,
+        shortcut,
+        settings.tolerance / to_metres,
+        MOST_ITERATIONS,
+    )
+    if status == BROKEN or not np.isfinite(step).all():
+        raise SolveError("the linear system is not positive definite or not finite")
+    return _Linear(step, iterations, error * to_metres, status == CONVERGED)
+
+
+def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) -> np.ndarray:
+    """The longest of step, step/2, step/4 … that decreases Φ enough; `descent` is −∂Φ/∂v at `velocities`."""
+    quadratic = sum(
+        (
+            damping_along(e, velocities, step)
+            for e in (*(s.elements for s in model.springs), contacts.elements)
+        ),
+        np.zeros(3),
+    )
+
+    def potential(t: float) -> float:
+        v = velocities + t * step
+        inertia = 0.5 * float(np.sum(model.masses[:, None] * (v - v_hat) ** 2))
+        viscous = 0.5 * h * float(quadratic @ (1.0, t, t * t))
+        return inertia + viscous + model.potential(x_hat + h * v, contacts)
+
+    before, slope, t = potential(0.0), float(np.sum(descent * step)), 1.0
+    while t > SHORTEST_STEP and not potential(t) <= before - SUFFICIENT * t * slope:
+        t *= 0.5
+    return t * step if t > SHORTEST_STEP else np.zeros_like(step)
+
+
+@kernel
+def damping_along(elements, velocities, step):
+    """Coefficients of 1, t and t² in Σ b q̇² at velocities + t step."""
+    constant = linear = square = 0.0
+    for e in range(len(elements.q)):
+        rate, change = -elements.drift[e], 0.0
+        for a in range(elements.nodes.shape[1]):
+            g = corner(elements.gradient, e, a)
+            rate += dot(g, row(velocities, elements.nodes[e, a]))
+            change += dot(g, row(step, elements.nodes[e, a]))
+        constant += elements.damping[e] * rate * rate
+        linear += 2.0 * elements.damping[e] * rate * change
+        square += elements.damping[e] * change * change
+    return np.array([constant, linear, square])

@@ -1,0 +1,178 @@
+"""The linear system A = M + h D + h² H as 3 × 3 blocks, assembled by gathering.
+
+Which vertices are coupled depends on the stencils only, so it is worked out once per set of spring kinds. Each
+block of A then *gathers* what the elements add to it, in a fixed order: no two threads write the same number,
+and the sum is the same to the bit for any number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from sim.compiled import corner, dot, kernel, parallel_kernel
+
+
+class Matrix(NamedTuple):
+    """A symmetric matrix of 3 × 3 blocks; row i couples vertex i to its neighbours.
+
+    Attributes:
+        diagonal: (n, 3, 3) blocks.
+        first: (n + 1,) where each row's blocks start in `column` and `block`.
+        column: (b,) the other vertex of each block.
+        block: (b, 3, 3).
+    """
+
+    diagonal: np.ndarray
+    first: np.ndarray
+    column: np.ndarray
+    block: np.ndarray
+
+
+class Gather(NamedTuple):
+    """What the elements of one kind add, and where.
+
+    Attributes:
+        first: (n + p + 1,) where each target's contributions start: first the n vertices, then the p coupled pairs.
+        element: (c,) element of each contribution.
+        a: (c,) its node that stands for the target's row.
+        b: (c,) its node that stands for the target's column.
+        upper: (p,) index in Matrix.block of each pair's block.
+        lower: (p,) and of its transpose.
+    """
+
+    first: np.ndarray
+    element: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    upper: np.ndarray
+    lower: np.ndarray
+
+
+def build_system(n: int, stencils: list[np.ndarray]) -> tuple[Matrix, list[Gather]]:
+    """A zero matrix that couples n vertices as the (e, k) `stencils` do, and each one's gather lists."""
+    parts = [_contributions(nodes.astype(np.int64), n) for nodes in stencils]
+    pairs = np.unique(np.concatenate([key[key >= n] for key, *_ in parts] or [np.zeros(0, np.int64)]))
+    i, j = np.divmod(pairs - n, n)
+    row, column = np.concatenate([i, j]), np.concatenate([j, i])
+    order = np.argsort(row * n + column, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    matrix = Matrix(
+        diagonal=np.zeros((n, 3, 3)),
+        first=np.searchsorted(row[order], np.arange(n + 1)).astype(np.int32),
+        column=column[order].astype(np.int32),
+        block=np.zeros((len(order), 3, 3)),
+    )
+    targets = np.concatenate([np.arange(n), pairs])
+    upper, lower = place[: len(pairs)].astype(np.int32), place[len(pairs) :].astype(np.int32)
+    return matrix, [Gather(*_sorted(part, targets), upper, lower) for part in parts]
+
+
+def _contributions(nodes: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
+    """(key, element, a, b) of every block that the elements touch: key i for vertex i, n + i n + j for i < j."""
+    e, k = nodes.shape
+    found = []
+    for a in range(k):
+        found.append((nodes[:, a], np.arange(e), a, a))
+        for b in range(a + 1, k):
+            low, high = np.minimum(nodes[:, a], nodes[:, b]), np.maximum(nodes[:, a], nodes[:, b])
+            flip = nodes[:, a] > nodes[:, b]
+            found.append((n + low * n + high, np.arange(e), np.where(flip, b, a), np.where(flip, a, b)))
+    columns = zip(*((key, element, a + 0 * key, b + 0 * key) for key, element, a, b in found), strict=True)
+    return tuple(np.concatenate(column) for column in columns)
+
+
+def _sorted(part: tuple[np.ndarray, ...], targets: np.ndarray) -> tuple[np.ndarray, ...]:
+    key, element, a, b = part
+    order = np.lexsort((element, key))
+    first = np.append(np.searchsorted(key[order], targets), len(key))
+    return (
+        first.astype(np.int32),
+        element[order].astype(np.int32),
+        a[order].astype(np.int8),
+        b[order].astype(np.int8),
+    )
+
+
+@kernel
+def reset(matrix, masses):
+    """Set the matrix to the masses (n,) [kg] alone."""
+    matrix.block[:] = 0.0
+    matrix.diagonal[:] = 0.0
+    for i in range(len(masses)):
+        for r in range(3):
+            matrix.diagonal[i, r, r] = masses[i]
+
+
+@parallel_kernel
+def add_elements(elements, gather, matrix):
+    """Add along g_a g_bᵀ + across (g_a·g_b) I of every element to the matrix."""
+    n = len(matrix.diagonal)
+    for target in numba.prange(len(gather.first) - 1):
+        xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
+        for c in range(gather.first[target], gather.first[target + 1]):
+            e = gather.element[c]
+            g = corner(elements.gradient, e, gather.a[c])
+            k = corner(elements.gradient, e, gather.b[c])
+            along = elements.along[e]
+            across = elements.across[e] * dot(g, k)
+            xx += along * g.x * k.x + across
+            xy += along * g.x * k.y
+            xz += along * g.x * k.z
+            yx += along * g.y * k.x
+            yy += along * g.y * k.y + across
+            yz += along * g.y * k.z
+            zx += along * g.z * k.x
+            zy += along * g.z * k.y
+            zz += along * g.z * k.z + across
+        if target < n:
+            block = matrix.diagonal[target]
+        else:
+            block = matrix.block[gather.upper[target - n]]
+            other = matrix.block[gather.lower[target - n]]
+            other[0, 0] += xx
+            other[0, 1] += yx
+            other[0, 2] += zx
+            other[1, 0] += xy
+            other[1, 1] += yy
+            other[1, 2] += zy
+            other[2, 0] += xz
+            other[2, 1] += yz
+            other[2, 2] += zz
+        block[0, 0] += xx
+        block[0, 1] += xy
+        block[0, 2] += xz
+        block[1, 0] += yx
+        block[1, 1] += yy
+        block[1, 2] += yz
+        block[2, 0] += zx
+        block[2, 1] += zy
+        block[2, 2] += zz
+
+
+@kernel
+def add_forces(elements, gather, forces):
+    """Add −s g_a of every element to `forces` (n, 3) [N]."""
+    for i in range(len(forces)):
+        for c in range(gather.first[i], gather.first[i + 1]):
+            e = gather.element[c]
+            for r in range(3):
+                forces[i, r] -= elements.tension[e] * elements.gradient[e, gather.a[c], r]
+
+
+@kernel
+def add_single_node(elements, matrix, forces):
+    """Add elements of one node each, such as contacts with obstacles, to diagonal and forces."""
+    for e in range(len(elements.q)):
+        i = elements.nodes[e, 0]
+        g = corner(elements.gradient, e, 0)
+        for r in range(3):
+            forces[i, r] -= elements.tension[e] * elements.gradient[e, 0, r]
+            matrix.diagonal[i, r, r] += elements.across[e] * dot(g, g)
+            for s in range(3):
+                matrix.diagonal[i, r, s] += (
+                    elements.along[e] * elements.gradient[e, 0, r] * elements.gradient[e, 0, s]
+                )

@@ -1,0 +1,31 @@
+"""How many processor threads the kernels of one simulation use."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+
+import numba
+
+_one_at_a_time = threading.Lock()
+
+
+@contextlib.contextmanager
+def processor_threads(count: int) -> Iterator[None]:
+    """Run kernels in the block on at most `count` threads.
+
+    Several simulations may be in such a block at once, except on Numba's workqueue layer, which may only be
+    entered by one Python thread at a time.
+    """
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    with _one_at_a_time if threading_layer() == "workqueue" else contextlib.nullcontext():
+        yield
+
+
+def threading_layer() -> str:
+    """Numba's threading layer: "omp", "tbb" or "workqueue"; "" before the first parallel kernel has run."""
+    try:
+        return numba.threading_layer()
+    except ValueError:
+        return ""
