@@ -35,4 +35,5 @@ def _sliver_warnings(mesh: Mesh) -> list[str]:
     twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     longest_two = np.sort(lengths, axis=1)[:, 1:].prod(axis=1)
     slivers = int((twice_area < np.sin(SLIVER) * longest_two).sum())
-    return [f"{slivers:,} triangles have an angle below 1°"] if slivers else []
+    what = "triangle has" if slivers == 1 else "triangles have"
+    return [f"{slivers:,} {what} an angle below 1°"] if slivers else []

@@ -21,6 +21,9 @@ from sim.scene import Box, Obstacle, Plane, Scene, Sphere
 TOUCH = 1e-6
 """Obstacles that reach into each other by less than this [m] merely stand on one another."""
 
+MEETS = 1e-9
+"""Distances below this [m] mean that the bodies meet: there fcl gives some number near or below zero."""
+
 
 def clearance_warnings(mesh: Mesh, scene: Scene) -> list[str]:
     """A line for each piece of cloth inside or too near an obstacle, and each pair of obstacles that overlap.
@@ -63,7 +66,7 @@ def _gap(
 
 
 def _too_near(cloth: str, obstacle: str, gap: float, thickness: float) -> list[str]:
-    if gap <= 0.0:
+    if gap < MEETS:
         return [f"{cloth} starts inside {obstacle}"]
     if gap < thickness:
         return [f"{cloth} starts {gap:.2g} m from {obstacle}, nearer than the thickness of {thickness:g} m"]

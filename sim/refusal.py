@@ -7,6 +7,7 @@ names, the key that was probably meant, and the value found.
 from __future__ import annotations
 
 import difflib
+import functools
 import json
 import re
 from typing import Any
@@ -41,7 +42,7 @@ def in_words(message: str, table: Any, root: type[msgspec.Struct]) -> str:
     field_name = re.search(r"field `([^`]*)`", text)
     if field_name and "unknown" in text:
         path = f"{path}.{field_name[1]}".lstrip(".")
-        return f"{path}: no such key; {_nearest(field_name[1], _keys(kind, found))}"
+        return f"{path}: no such key; {_nearest(field_name[1], _keys(kind))}"
     if field_name:
         keys = _shown(sorted(map(str, found or ())))
         return f"{path or 'scene'}: expected a key {field_name[1]!r}, got {keys}"
@@ -57,7 +58,7 @@ def in_words(message: str, table: Any, root: type[msgspec.Struct]) -> str:
 
 def _found(path: str, table: Any, root: type[msgspec.Struct]) -> tuple[Any, inspect.Type | None]:
     """What stands at `path` of the table, and the type that belongs there."""
-    kind: inspect.Type | None = inspect.type_info(root)
+    kind: inspect.Type | None = _described(root)
     found = table
     for part in re.findall(r"[^.\[\]]+", path):
         kind = _inner(_member(kind, found), part)
@@ -66,6 +67,9 @@ def _found(path: str, table: Any, root: type[msgspec.Struct]) -> tuple[Any, insp
         except (LookupError, ValueError, TypeError):
             return None, kind
     return found, _member(kind, found)
+
+
+_described = functools.cache(inspect.type_info)
 
 
 def _member(kind: inspect.Type | None, found: Any) -> inspect.Type | None:
@@ -89,10 +93,9 @@ def _inner(kind: inspect.Type | None, part: str) -> inspect.Type | None:
     return getattr(kind, "item_type", None)
 
 
-def _keys(kind: inspect.Type | None, found: Any) -> list[str]:
+def _keys(kind: inspect.Type | None) -> list[str]:
     names = [f.encode_name for f in kind.fields] if isinstance(kind, inspect.StructType) else []
-    hidden = {"folder"} | (set() if isinstance(found, dict) and "kind" in found else {"kind"})
-    return [name for name in names if name not in hidden]
+    return [name for name in names if name != "folder"]
 
 
 def _nearest(name: str, known: list[str]) -> str:

@@ -82,7 +82,7 @@ def _without_empty(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     size = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
     keep = area > NO_AREA * size**2
-    return _kept(triangles, keep, "without area")
+    return _kept(triangles, keep, "triangle without area", "triangles without area")
 
 
 def _without_duplicates(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
@@ -94,12 +94,12 @@ def _without_duplicates(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np
     _, first = np.unique(pair * n + high, return_index=True)
     keep = np.zeros(len(triangles), dtype=bool)
     keep[first] = True
-    return _kept(triangles, keep, "that repeat another one")
+    return _kept(triangles, keep, "repeated triangle")
 
 
-def _kept(triangles: np.ndarray, keep: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
+def _kept(triangles: np.ndarray, keep: np.ndarray, one: str, many: str = "") -> tuple[np.ndarray, list[str]]:
     left_out = int((~keep).sum())
-    warnings = [f"left out {_count(left_out, 'triangle')} {what}"] if left_out else []
+    warnings = [f"left out {_count(left_out, one, many)}"] if left_out else []
     return (triangles[keep] if left_out else triangles), warnings
 
 

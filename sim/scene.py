@@ -28,6 +28,9 @@ MAX_VERTICES = 200_000
 MAX_BYTES = 1_000_000
 """Scene files larger than this are refused before they are read; meshes go into files of their own."""
 
+LONGEST_LINE = 600
+"""Characters of an error message, however long the value that it shows."""
+
 Vector = tuple[float, float, float]
 Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
@@ -38,6 +41,10 @@ Density = Annotated[float, Meta(ge=1e-4, le=1e3)]
 
 class SceneError(ValueError):
     """A scene that cannot be used; the message is one line: file, key, expected, found."""
+
+    def __init__(self, message: str) -> None:
+        line = " ".join(message.splitlines())  # keys and names may hold line ends
+        super().__init__(line if len(line) <= LONGEST_LINE else line[: LONGEST_LINE - 1] + "…")
 
 
 class _Part(msgspec.Struct, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -228,15 +235,15 @@ def load_scene(source: str | Path | dict[str, Any]) -> Scene:
         return source
     if isinstance(source, dict):
         return _checked({"folder": str(Path.cwd()), **source}, "scene", "scene")
-    path = find_scene(source)
-    table = _toml(path, str(source))
+    path, table = _toml(source)
     if "folder" in table:
         raise SceneError(f"{source}: folder: no such key; mesh files are looked for beside the scene file")
     return _checked({**table, "folder": str(path.resolve().parent)}, str(source), path.stem)
 
 
-def _toml(path: Path, where: str) -> dict[str, Any]:
+def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:
     try:
+        path = find_scene(where)
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
@@ -244,7 +251,7 @@ def _toml(path: Path, where: str) -> dict[str, Any]:
     if len(data) > MAX_BYTES:
         raise SceneError(f"{where}: expected at most {MAX_BYTES // 10**6} MB, got more")
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        return path, tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise SceneError(f"{where}: not TOML: {' '.join(str(error).split())}") from None
 

@@ -21,6 +21,10 @@ MOST_ADVANCES = 100
 """Advances after which the place reached counts as the contact: never too late, as each one is safe."""
 
 
+SAME_SIDE = 0.5
+"""Least cosine between the normals where a vertex touches and where it is going, for the latter to be used."""
+
+
 class Contacts(NamedTuple):
     """c contacts, ordered by vertex and then by obstacle.
 
@@ -87,6 +91,9 @@ def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, id
             if not touches:
                 continue
             distance, n = signed_distance(kind, size, c)
+            ahead, m = signed_distance(kind, size, b)
+            if dot(m, n) > SAME_SIDE:  # the vertex slides on: the plane where it is going is nearer the truth
+                c, distance, n = b, ahead, m
             normal = turn(after.rotation[o], n)
             was = add(turn(before.rotation[o], c), row(before.position, o))
             now = add(turn(after.rotation[o], c), row(after.position, o))

@@ -21,9 +21,6 @@ from sim.solve.system import Matrix, add_single_node
 if TYPE_CHECKING:
     pass
 
-APPROACH_DAMPING = 1.0
-"""Damping ratio of a gap spring while the gap closes."""
-
 
 @kernel
 def coordinate(positions, nodes, memory, q, gradient, new_memory):
@@ -149,7 +146,7 @@ def gap_springs(
     passing = velocities[contacts.vertex[kept]] - speed
     closing = _along(normal, passing)
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
-    elements.damping[:] = np.where(closing < 0.0, APPROACH_DAMPING * critical, 0.0)
+    elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
     sliding = np.linalg.norm(passing - closing[:, None] * normal, axis=1)
     force = np.maximum(pressed[kept] / h, mass * lack[kept] / h**2)
     drag = settings.friction * force / np.maximum(np.maximum(sliding, slip[kept]), CREEP)

@@ -1,9 +1,9 @@
 """How cloth answers the contacts that detection found.
 
 Every response first makes contacts part of the implicit solve: a gap spring with K = s m / h², so that one step
-takes back s / (1 + s) of an overlap, damped while the vertex approaches. What sets them apart:
+takes back s / (1 + s) of an overlap. What sets them apart:
 
-- penalty: nothing more. Fast or heavy cloth sinks in, and with static detection tunnels; no guarantee.
+- penalty: damped while the vertex approaches, and nothing more. Fast or heavy cloth sinks in, and with static detection tunnels; no guarantee.
 - impulse: stiffer springs that recover only a tenth of an overlap per step (Bridson, Fedkiw and Anderson 2002),
   then inelastic impulses that leave no free vertex on the wrong side of a plane that detection showed it.
 """
@@ -24,16 +24,18 @@ class Response:
 
     Attributes:
         stiffness: s in K = s m / h².
+        damping: Damping ratio of a gap spring while the gap closes.
         recovery: Part of an overlap that one step aims to take back.
         impulses: Whether impulses end the step.
     """
 
     stiffness: float
+    damping: float
     recovery: float
     impulses: bool
 
 
-RESPONSES = {"penalty": Response(10.0, 1.0, False), "impulse": Response(100.0, 0.1, True)}
+RESPONSES = {"penalty": Response(10.0, 1.0, 1.0, False), "impulse": Response(100.0, 0.0, 0.1, True)}
 
 MOST_SWEEPS = 20
 """Gauss–Seidel sweeps over the contacts; only a vertex between several obstacles needs more than one."""

@@ -21,10 +21,10 @@ from sim.compiled import inner, kernel, parallel_kernel
 CHUNKS = 32
 """Parts that every sum is split into; more threads than this find no work."""
 
-WINDOW = 8
+WINDOW = 12
 """Iterations d whose drop estimates the error."""
 
-SAFETY = 4.0
+SAFETY = 8.0
 """Largest error of a vertex over the mass-weighted mean that is allowed for."""
 
 CONVERGED, EXHAUSTED, BROKEN = 0, 1, 2

@@ -24,6 +24,9 @@ MOST_ITERATIONS = 5000
 SUFFICIENT = 1e-4
 """Part of the predicted decrease of Φ that a step must achieve (Armijo 1966)."""
 
+ROUNDING = 1e-14
+"""Part of Φ that is lost in adding it up: a smaller increase is none."""
+
 SHORTEST_STEP = 1e-6
 """Part of a Newton step below which the line search gives up and keeps what it has."""
 
@@ -89,15 +92,14 @@ def backward_euler(
             linear = _solve(model, settings, forces, v_hat - velocities, linear.step, np.zeros_like(guess), h)
             iterations += linear.iterations
         step = linear.step
-        if settings.newton > 1:
+        small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
+        if settings.newton > 1 and not small:
             descent = model.masses[:, None] * (v_hat - velocities) + h * forces
             step = _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent)
         velocities = velocities + step
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
-        converged = linear.converged and (
-            settings.newton == 1 or h * np.abs(step).max(initial=0.0) <= settings.tolerance
-        )
-        if converged:
+        converged = linear.converged and (settings.newton == 1 or small)
+        if converged or not step.any():
             break
     return Solution(x_hat + h * velocities, velocities, iterations, newton, linear.error, converged)
 
@@ -148,7 +150,8 @@ def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) ->
         return inertia + viscous + model.potential(x_hat + h * v, contacts)
 
     before, slope, t = potential(0.0), float(np.sum(descent * step)), 1.0
-    while t > SHORTEST_STEP and not potential(t) <= before - SUFFICIENT * t * slope:
+    noise = ROUNDING * abs(before)
+    while t > SHORTEST_STEP and not potential(t) <= before - SUFFICIENT * t * slope + noise:
         t *= 0.5
     return t * step if t > SHORTEST_STEP else np.zeros_like(step)
 

@@ -1,0 +1,204 @@
+"""The linear system and the implicit step against obvious twins and closed forms."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sim
+from sim.contact.gap import gap_springs
+from sim.contact.detect import NO_CONTACTS
+from sim.solve.cg import CONVERGED, conjugate_gradients, invert_diagonal
+from tests.worlds import chain, grid, irregular, scene
+
+VECTORS = json.loads((Path(__file__).parent / "vectors" / "methods.json").read_text())
+
+
+def dense(matrix):
+    """The (3n, 3n) array that a block matrix stands for."""
+    n = len(matrix.diagonal)
+    full = np.zeros((n, 3, n, 3))
+    for i in range(n):
+        full[i, :, i] = matrix.diagonal[i]
+        for p in range(matrix.first[i], matrix.first[i + 1]):
+            full[i, :, matrix.column[p]] = matrix.block[p]
+    return full.reshape(3 * n, 3 * n)
+
+
+def linearised(world, h):
+    nothing = gap_springs(None, NO_CONTACTS, *[np.zeros(0)] * 5, world.settings)
+    forces = world.model.linearise(world.positions.copy(), world.velocities.copy(), nothing, h)
+    return dense(world.model.matrix), forces.copy()
+
+
+@pytest.mark.parametrize("bend", ["none", "cross", "angle"])
+def test_matrix_is_the_sum_of_its_elements(bend):
+    """Gathered assembly against a loop over elements that writes every block by hand."""
+    world = sim.Simulation(scene(irregular(), bend=bend, gamma=0.7, bending=1e-3))
+    h = 0.01
+    found, forces = linearised(world, h)
+    n = len(world.masses)
+    expected = np.zeros((n, 3, n, 3))
+    for i in range(n):
+        expected[i, :, i] = world.masses[i] * np.eye(3)
+    pull = np.zeros((n, 3))
+    for springs in world.model.springs:
+        e = springs.elements
+        for k, nodes in enumerate(e.nodes):
+            g = e.gradient[k]
+            across = max(0.0, 1 - e.rest[k] / e.q[k]) * e.stiffness[k] if springs.kind.is_length else 0.0
+            mu = 1.0 / sum(g[a] @ g[a] / world.masses[nodes[a]] for a in range(len(nodes)))
+            b = 0.7 * 2 * np.sqrt(mu * e.stiffness[k])
+            for a, i in enumerate(nodes):
+                pull[i] -= e.stiffness[k] * (e.q[k] - e.rest[k]) * g[a]
+                for c, j in enumerate(nodes):
+                    outer = np.outer(g[a], g[c])
+                    expected[i, :, j] += (h * b + h * h * (e.stiffness[k] - across)) * outer
+                    expected[i, :, j] += h * h * across * (g[a] @ g[c]) * np.eye(3)
+    expected = expected.reshape(3 * n, 3 * n)
+    np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
+    np.testing.assert_allclose(forces, pull, atol=1e-12 * np.abs(pull).max())
+
+
+@pytest.mark.parametrize("bend", ["none", "cross", "angle"])
+def test_matrix_is_symmetric_and_positive_definite_also_in_compression(bend):
+    cloth = irregular()
+    cloth["vertices"] = (0.5 * np.array(cloth["vertices"])).tolist()
+    world = sim.Simulation(scene(cloth, bend=bend, gamma=0.0, stretch=1e5))
+    matrix, _ = linearised(world, 0.1)
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-14 * np.abs(matrix).max())
+    assert np.linalg.eigvalsh(matrix).min() >= world.masses.min() * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("name", ["force", "stiffness"])
+def test_forces_are_the_slope_of_the_energy(name):
+    """Central differences of the energy (truncation h² ~ 1e-12, cancellation 1e-16/1e-6) on a crumpled mesh."""
+    for bend in ("cross", "angle"):
+        world = sim.Simulation(scene(irregular(3), bend=bend, gravity=[0.1, 0.2, -9.81], rest_angle=0.4, bending=1e-2))
+        forces, step = world.forces(), 1e-6
+        rng = np.random.default_rng(0)
+        for _ in range(10):
+            direction = rng.standard_normal(forces.shape)
+            values = [sum(world.model.energies(world.positions + s * step * direction).values()) for s in (1, -1)]
+            slope = (values[0] - values[1]) / (2 * step)
+            assert slope == pytest.approx(-np.sum(forces * direction), rel=1e-6, abs=1e-8 * np.abs(forces).sum())
+
+
+def test_conjugate_gradients_find_the_dense_solution_with_fixed_vertices():
+    world = sim.Simulation(scene(irregular(1), gamma=1.0, stretch=1e3))
+    matrix, _ = linearised(world, 0.02)
+    n = len(world.masses)
+    free = np.ones(n, dtype=bool)
+    free[::7] = False
+    b = np.random.default_rng(0).standard_normal((n, 3))
+    x, inverse = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    invert_diagonal(world.model.matrix.diagonal, free, inverse)
+    _, error, status = conjugate_gradients(
+        world.model.matrix, inverse, free, b, x, np.zeros_like(b), 1e-10, 10_000
+    )
+    kept = np.repeat(free, 3)
+    expected = np.linalg.solve(matrix[np.ix_(kept, kept)], b.ravel()[kept])
+    assert status == CONVERGED
+    assert error <= 1e-10
+    off = x.ravel()[kept] - expected
+    masses = np.repeat(world.masses[free], 3)
+    assert np.sqrt(masses @ off**2) <= 1e-10  # what the estimate promises, in the norm it promises it in
+    assert not x[~free].any()
+
+
+def test_the_error_left_by_a_linear_solve_is_within_the_tolerance():
+    """Against a solve a million times sharper, at a developed state where the estimate is hardest."""
+    world = sim.Simulation(
+        scene(grid(resolution=(16, 16), pins=["corner00", "corner10"]), gravity=[0, 0, -9.81], stretch=1000.0)
+    )
+    for _ in range(20):
+        world.step()
+    start = world.snapshot()
+    ends = {}
+    for tolerance in (1e-4, 1e-5, 1e-10):
+        world.restore(start)
+        world.update(tolerance=tolerance)
+        world.step()
+        ends[tolerance] = world.positions.copy()
+    for tolerance in (1e-4, 1e-5):
+        assert np.abs(ends[tolerance] - ends[1e-10]).max() <= tolerance
+
+
+@pytest.mark.parametrize("case", VECTORS["oscillator"], ids=lambda c: f"gamma={c['gamma']}")
+def test_damped_oscillator_is_backward_eulers_and_converges_to_the_closed_form(case):
+    """One spring, one end fixed, under-, critically and overdamped."""
+    rest = 1.0
+    cloth = chain([[0, 0, 0], [rest + case["x0"], 0, 0]], [1.0, case["m"]], pins=[0])
+    cloth["rest_vertices"] = [[0, 0, 0], [rest, 0, 0]]
+
+    def run(h, end):
+        world = sim.Simulation(scene(cloth, gamma=case["gamma"], stretch=case["K"] * rest, dt=h, tolerance=1e-12))
+        for _ in range(round(end / h)):
+            world.step()
+        return world.positions[1, 0] - rest
+
+    for end, expected in case["backward_euler"]:
+        assert run(case["be_h"], end) == pytest.approx(expected, abs=1e-8)
+    end, exact = case["exact"][1]
+    errors = [abs(run(h, end) - exact) for h in (0.0025, 0.00125, 0.000625)]
+    for coarse, fine in zip(errors, errors[1:], strict=False):
+        assert np.log2(coarse / fine) == pytest.approx(1.0, abs=0.1)  # first order, and its next term at these steps
+
+
+def test_free_fall_is_exact_and_damping_does_not_slow_it():
+    world = sim.Simulation(scene(irregular(), gravity=[0, 0, -9.81], gamma=5.0, stretch=0.0, bend="none"))
+    start, h = world.positions.copy(), world.settings.dt
+    for _ in range(30):
+        world.step()
+    fallen = -9.81 * h * h * 30 * 31 / 2  # backward Euler's sum of h v over 30 steps
+    np.testing.assert_allclose(world.positions - start, np.broadcast_to([0, 0, fallen], start.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 0.5, 20.0])
+def test_damping_resists_no_rigid_rotation(gamma):
+    world = sim.Simulation(scene(grid(), gamma=gamma, bend="angle"))
+    spin = np.array([0.3, -0.2, 1.0])
+    world._velocities[:] = np.cross(spin, world.positions)
+    assert np.abs(world.forces()).max() < 1e-12  # flat and unstretched: only damping could act
+
+
+@pytest.mark.parametrize("newton", [1, 20])
+@pytest.mark.parametrize("bend", ["cross", "angle"])
+def test_momentum_is_kept_where_nothing_acts_from_outside(bend, newton):
+    world = sim.Simulation(scene(irregular(5), bend=bend, gamma=0.5, newton=newton, tolerance=1e-10))
+    rng = np.random.default_rng(1)
+    world._velocities[:] = rng.standard_normal(world.positions.shape)
+    before, _ = world.momentum()
+    for _ in range(10):
+        world.step()
+        scale = world.masses @ np.linalg.norm(world.velocities, axis=1)
+        # The linear solve stops at 1e-10 m; its error has no reason to be momentum-free.
+        assert np.linalg.norm(world.momentum()[0] - before) < 1e-6 * scale
+    forces = world.forces()
+    arms = world.positions - world.positions.mean(axis=0)
+    assert np.linalg.norm(forces.sum(axis=0)) < 1e-12 * np.abs(forces).sum()
+    assert np.linalg.norm(np.cross(arms, forces).sum(axis=0)) < 1e-12 * np.abs(forces).sum()
+
+
+def test_converged_newton_solves_the_backward_euler_equation():
+    cloth = irregular(2, noise=0.003)
+    cloth["vertices"] = (1.2 * np.array(cloth["vertices"])).tolist()  # in tension, where no Hessian is clamped
+    world = sim.Simulation(scene(cloth, gamma=0.0, newton=100, tolerance=1e-10, gravity=[0, 0, -9.81], bend="angle"))
+    before, h = world.velocities.copy(), world.settings.dt
+    report = world.step()
+    assert report.converged
+    balance = world.masses[:, None] * (world.velocities - before) - h * world.forces()
+    assert np.abs(balance).max() < 1e-7 * np.abs(h * world.forces()).max()
+
+
+def test_newton_never_raises_the_incremental_potential_of_a_huge_step():
+    """½‖v − v₀‖² + E never grows over a step however stiff: the bound that makes backward Euler safe."""
+    world = sim.Simulation(scene(irregular(4), gamma=0.1, newton=5, stretch=1e5, dt=0.1, tolerance=1e-6))
+    for _ in range(10):
+        energy, v = sum(world.energy().values()) - world.energy()["kinetic"], world.velocities.copy()
+        kinetic = 0.5 * world.masses @ (v**2).sum(axis=1)
+        world.step()
+        change = 0.5 * world.masses @ ((world.velocities - v) ** 2).sum(axis=1)
+        after = sum(world.energy().values()) - world.energy()["kinetic"]
+        assert after + change <= (energy + kinetic) * (1 + 1e-9)
