@@ -29,7 +29,7 @@ class Recording:
 
     Args:
         world: The simulation; its present state is the first frame.
-        frame_time: Least time between frames [s]; each step is a frame where steps are longer.
+        frame_time: Time from frame to frame [s]; each step is a frame where steps are longer.
     """
 
     def __init__(self, world: Simulation, frame_time: float = 1 / 60) -> None:
@@ -45,7 +45,7 @@ class Recording:
     @property
     def due(self) -> bool:
         """Whether the present state is closer to the time of the next frame than the next state will be."""
-        return self.world.time >= self._times[-1] + self.frame_time - 0.5 * self.world.settings.dt
+        return self.world.time >= len(self) * self.frame_time - 0.5 * self.world.settings.dt
 
     def add(self) -> None:
         """Keep the present state as a frame."""

@@ -1,8 +1,8 @@
 """Which vertices touch which obstacle in a step, and the plane that the obstacle shows each of them.
 
 Static detection looks at the start of the step only. Continuous detection follows each vertex, in the obstacle's
-own frame, from its start to where it is predicted to go, by conservative advancement: a signed distance cannot
-fall faster than the point moves, so stepping by distance over speed never passes a contact.
+own frame, from its start to where it is predicted to go. The distance to a convex shape is a convex function along
+a line, so Newton's method from the start approaches the first contact and never passes it.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiled import Vec3, add, dot, inner, kernel, norm, row, scale, sub
+from sim.compiled import Vec3, add, dot, inner, kernel, row, scale, sub
 from sim.contact.obstacles import Obstacles, Poses, signed_distance
 
 NEAR = 1e-3
-"""A vertex this part of the thickness short of contact counts as touching, so that advancement ends."""
+"""A vertex this part of the thickness short of contact counts as touching."""
 
-MOST_ADVANCES = 100
-"""Advances after which the place reached counts as the contact: never too late, as each one is safe."""
+MOST_ADVANCES = 50
+"""Newton steps after which the place reached counts as the contact: never too late, as each one is safe."""
 
 
 SAME_SIDE = 0.5
@@ -110,23 +110,21 @@ def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, id
 @inner
 def _first_contact(kind, size, a, b, thickness, continuous):
     """Whether the way from a to b comes within `thickness`, and the first point that does."""
-    distance = signed_distance(kind, size, a)[0]
-    if distance < thickness:
+    if signed_distance(kind, size, a)[0] < thickness:
         return True, a
     if not continuous:
         return False, a
-    way = sub(b, a)
-    length = norm(way)
-    t = 0.0
+    way, t, c = sub(b, a), 0.0, a
     for _ in range(MOST_ADVANCES):
-        if not distance - thickness < (1.0 - t) * length:
-            return False, a
-        t += max(distance - thickness, 0.0) / length
-        c = add(a, scale(t, way))
-        distance = signed_distance(kind, size, c)[0]
+        distance, n = signed_distance(kind, size, c)
+        approach = -dot(n, way)
         if distance - thickness < NEAR * thickness:
             return True, c
-    return True, add(a, scale(t, way))
+        if not distance - thickness <= (1.0 - t) * approach:
+            return False, c
+        t += (distance - thickness) / approach
+        c = add(a, scale(t, way))
+    return True, c
 
 
 @inner

@@ -1,0 +1,171 @@
+"""The page in a real browser, on real simulations."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+from fake_world import wait_until
+
+from server.lab import Lab
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None
+)
+REQUIRED = os.environ.get("MUSLIN_REQUIRE_BROWSER") == "1"
+WITHOUT_GPU = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PATIENCE = 120_000
+"""Milliseconds that a browser without a graphics card may take over anything."""
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine"),
+]
+
+VERTICES = """name => {
+    let sum = 0;
+    window.__viserMutable.nodeRefFromName[name].traverse(node => {
+        const place = node.geometry?.attributes?.position;
+        if (place) for (let i = 0; i < place.array.length; i++) sum += place.array[i] * (1 + i % 7);
+    });
+    return sum;
+}"""
+"""A number that changes when the cloth in the page moves."""
+
+
+@pytest.fixture(scope="module")
+def lab():
+    lab = Lab("drape", port=0)
+    lab.start()
+    yield lab
+    lab.stop()
+
+
+@pytest.fixture(scope="module")
+def page(lab):
+    from playwright.sync_api import sync_playwright
+
+    assert CHROMIUM, "MUSLIN_REQUIRE_BROWSER=1, but there is no chromium"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=WITHOUT_GPU)
+        page = browser.new_page(viewport={"width": 900, "height": 560})
+        page.set_default_timeout(PATIENCE)
+        page.errors = []
+        page.on(
+            "console", lambda message: page.errors.append(message.text) if message.type == "error" else None
+        )
+        page.on("pageerror", lambda error: page.errors.append(str(error)))
+        page.goto(lab.url)
+        page.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/variant1/cloth'] != null")
+        wait_until(lambda: lab.frames and all(frame.time > 0 for frame in lab.frames), seconds=120)
+        yield page
+        browser.close()
+
+
+def row(page, label):
+    """The control with a label: its row in the dock."""
+    return page.locator("label", has_text=label).locator(
+        "xpath=ancestor::div[contains(@class,'Flex-root')][1]"
+    )
+
+
+def pick(page, label, option):
+    row(page, label).locator("input:not([type=hidden])").first.click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def settings(lab, name):
+    return [getattr(frame.settings, name) for frame in lab.frames if frame.settings]
+
+
+def all_go_on(lab):
+    """Every simulation makes further steps, and its cloth is elsewhere afterwards."""
+    before = lab.frames
+    wait_until(
+        lambda: all(
+            now.time > then.time and not np.array_equal(now.positions, then.positions)
+            for now, then in zip(lab.frames, before, strict=True)
+        ),
+        seconds=60,
+    )
+    assert [frame.refused for frame in lab.frames] == [""] * len(before)
+
+
+def drag_by_keys(page, label, key, times):
+    slider = row(page, label).get_by_role("slider")
+    slider.focus()
+    for _ in range(times):
+        page.keyboard.press(key)
+
+
+def test_page_shows_two_cloths_that_move(lab, page):
+    before = [page.evaluate(VERTICES, f"/variant{i}/cloth") for i in range(2)]
+    wait_until(
+        lambda: all(page.evaluate(VERTICES, f"/variant{i}/cloth") != before[i] for i in range(2)), seconds=120
+    )
+    assert settings(lab, "contact") == ["penalty", "impulse"]
+
+
+def test_damping_slider_reaches_both_simulations(lab, page):
+    drag_by_keys(page, "damping ratio γ", "ArrowRight", 5)
+    wait_until(lambda: settings(lab, "gamma") == pytest.approx([0.25, 0.25]), seconds=60)
+    all_go_on(lab)
+
+
+def test_rest_angle_slider_reaches_both_simulations(lab, page):
+    drag_by_keys(page, "rest angle", "ArrowRight", 10)
+    wait_until(lambda: settings(lab, "rest_angle") == pytest.approx([0.1, 0.1]), seconds=60)
+    all_go_on(lab)
+
+
+def test_bending_kind_is_switched_while_running(lab, page):
+    pick(page, "bending spring", "cross")
+    wait_until(lambda: settings(lab, "bend") == ["cross", "cross"], seconds=120)
+    all_go_on(lab)
+
+
+def test_collision_method_of_one_variant_is_switched_while_running(lab, page):
+    pick(page, "● left", "none")
+    wait_until(lambda: settings(lab, "contact") == ["none", "impulse"], seconds=60)
+    all_go_on(lab)
+    pick(page, "● left", "penalty")
+    wait_until(lambda: settings(lab, "contact") == ["penalty", "impulse"], seconds=60)
+    all_go_on(lab)
+
+
+def test_log_slider_box_takes_a_number(lab, page):
+    box = row(page, "stretch stiffness").locator("input.mantine-TextInput-input")
+    box.fill("80")
+    wait_until(lambda: settings(lab, "stretch") == [80.0, 80.0], seconds=60)
+    all_go_on(lab)
+
+
+def test_pause_step_and_reset(lab, page):
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play").wait_for()
+    wait_until(lambda: not any(lane.busy for lane in lab._lanes))
+    before = [frame.time for frame in lab.frames]
+    page.get_by_role("button", name="Step").click()
+    wait_until(lambda: all(frame.time > t for frame, t in zip(lab.frames, before, strict=True)))
+    page.get_by_role("button", name="Reset").click()
+    wait_until(lambda: [frame.time for frame in lab.frames] == [0.0, 0.0], seconds=60)
+    page.get_by_role("button", name="Play").click()
+    all_go_on(lab)
+
+
+def test_plots_hold_live_data(page):
+    points = (
+        "() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(plot => plot.chart.data[0].length)"
+    )
+    wait_until(lambda: len(page.evaluate(points)) == 3 and min(page.evaluate(points)) > 2, seconds=120)
+
+
+def test_another_setting_is_compared(lab, page):
+    pick(page, "compare by", "damping ratio γ")
+    wait_until(lambda: len(set(settings(lab, "gamma"))) == 2, seconds=120)
+    all_go_on(lab)
+    row(page, "● right").get_by_role("slider").wait_for()
+
+
+def test_page_reported_no_error(page):
+    assert page.errors == []

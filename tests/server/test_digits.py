@@ -1,0 +1,17 @@
+"""Numbers as people read them."""
+
+from server.digits import number_text, round_above, round_below, short
+
+
+def test_numbers_are_short_and_without_needless_exponents():
+    assert [number_text(v) for v in (1e4, 50.0, 0.2, 1e-4, 1e-6)] == ["10000", "50", "0.2", "0.0001", "1e-06"]
+    assert [float(number_text(v)) for v in (1e7, 123456.0)] == [1e7, 123456.0]
+
+
+def test_numbers_at_the_ends_of_scales_are_shorter():
+    assert [short(v) for v in (1e4, 1.0, 0.02, 1e-6)] == ["10k", "1", "0.02", "10⁻⁶"]
+
+
+def test_round_numbers_are_beside_their_value():
+    assert [round_below(v) for v in (0.01, 0.015, 0.005, 0.003)] == [0.01, 0.01, 0.005, 0.002]
+    assert [round_above(v) for v in (10.0, 11.0, 49.0, 51.0)] == [10.0, 20.0, 50.0, 100.0]

@@ -1,0 +1,231 @@
+"""The lab as a whole, seen through a raw client: what the page says and what the simulations get."""
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
+
+from server.lab import Lab
+from sim import SceneError
+
+
+def times(lab):
+    return [frame.time for frame in lab.frames]
+
+
+def press(client, label, option):
+    client.set(client.find(label), option)
+
+
+def test_bench_stands_still_until_somebody_looks(lab):
+    assert times(lab) == [0.0, 0.0]
+    client = RawClient(lab.url)
+    client.look()
+    wait_until(lambda: all(time > 0.1 for time in times(lab)))
+    client.close()
+    wait_until(lambda: not lab._server.get_clients())
+    wait_until(lambda: not any(lane.busy for lane in lab._lanes))
+    stopped = times(lab)
+    threading.Event().wait(0.3)
+    assert times(lab) == stopped
+
+
+def test_nothing_is_published_with_no_client(lab, client, monkeypatch):
+    wait_until(lambda: times(lab)[0] > 0.1)
+    shown = []
+    monkeypatch.setattr(lab._stage, "show", shown.append)
+    wait_until(lambda: shown)
+    client.close()
+    wait_until(lambda: not lab._server.get_clients())
+    threading.Event().wait(0.1)
+    shown.clear()
+    press_step = threading.Event()
+    lab.post(lab.step)
+    lab.post(press_step.set)
+    press_step.wait(5)
+    threading.Event().wait(0.3)
+    assert shown == []
+
+
+def test_variants_are_on_one_clock(lab, client):
+    wait_until(lambda: times(lab)[0] > 0.5)
+    press(client, "run", "❚❚ Pause")
+    wait_until(lambda: not lab._playing and not any(lane.busy for lane in lab._lanes))
+    assert times(lab)[0] == pytest.approx(times(lab)[1])
+
+
+def test_step_makes_one_step_in_every_variant(lab, client):
+    press(client, "run", "❚❚ Pause")
+    wait_until(lambda: not lab._playing and not any(lane.busy for lane in lab._lanes))
+    before = [world.steps for world in FakeWorld.made]
+    press(client, "run", "⇥ Step")
+    wait_until(lambda: [world.steps for world in FakeWorld.made] == [n + 1 for n in before])
+
+
+def test_reset_starts_every_variant_again(lab, client):
+    wait_until(lambda: times(lab)[0] > 0.1)
+    press(client, "run", "❚❚ Pause")
+    press(client, "run", "⟲ Reset")
+    wait_until(lambda: times(lab) == [0.0, 0.0] and len(FakeWorld.made) == 4)
+
+
+def test_shared_setting_reaches_every_variant_and_they_go_on(lab, client):
+    client.set(client.find("rest angle θ₀ [rad]"), 0.7)
+    wait_until(lambda: [w.settings.rest_angle for w in FakeWorld.made] == [0.7, 0.7])
+    reached = times(lab)
+    wait_until(lambda: all(now > then for now, then in zip(times(lab), reached, strict=True)))
+
+
+def test_compared_setting_reaches_its_own_variant_only(lab, client):
+    client.set(client.find("● left"), "none")
+    wait_until(lambda: [w.settings.contact for w in FakeWorld.made] == ["none", "impulse"])
+    assert lab.comparison.name(0) == "none"
+
+
+def test_several_variants_have_one_thread_each(lab):
+    assert [w.settings.threads for w in FakeWorld.made] == [1, 1]
+
+
+def test_comparing_by_another_setting_gives_each_variant_its_own_control(lab, client):
+    client.set(client.find("compare by"), "damping ratio γ")
+    wait_until(lambda: len(FakeWorld.made) == 4)
+    assert lab.comparison.by == "gamma"
+    first, second = (w.settings.gamma for w in FakeWorld.made[2:])
+    assert first != second
+    assert len({w.settings.contact for w in FakeWorld.made[2:]}) == 1
+
+
+def test_there_are_two_to_four_variants(lab, client):
+    client.set(client.find("compare by"), "bending spring")
+    wait_until(lambda: lab.comparison.by == "bend")
+    for count in (3, 4, 4):
+        lab.post(lab.change_count, 1)
+        wait_until(lambda count=count: lab.comparison.count == count)
+    for count in (3, 2, 2):
+        lab.post(lab.change_count, -1)
+        wait_until(lambda count=count: lab.comparison.count == count)
+
+
+def test_refused_step_pauses_its_variant_and_others_go_on(lab, client):
+    lab.post(lab.compare_by, "density")
+    wait_until(lambda: lab.comparison.by == "density" and len(lab.frames) == 2 and len(FakeWorld.made) == 4)
+    lab.post(lab.set_own, 0, 200.0)
+    wait_until(lambda: "too heavy" in lab.frames[0].refused)
+    stopped, going = times(lab)
+    wait_until(lambda: times(lab)[1] > going + 0.2)
+    assert times(lab)[0] == stopped
+    wait_until(lambda: any("stopped" in text for text in labels(client)))
+    lab.post(lab.set_own, 0, 0.2)
+    wait_until(lambda: times(lab)[0] > stopped)
+
+
+def labels(client):
+    updates = [m for m in client.messages if m["type"] == "SceneNodeUpdateMessage"]
+    return [m["updates"]["text"] for m in updates if "text" in m["updates"]]
+
+
+def test_labels_say_what_was_measured(lab, client):
+    wait_until(lambda: "penalty\n1.0 ms · 0 inside" in labels(client))
+
+
+def test_scene_words_are_no_html(lab, client):
+    wait_until(lambda: any("&lt;b&gt;" in str(m) for m in client.messages))
+    assert not any("A <b>fake</b>" in str(m) for m in client.messages)
+
+
+def test_progress_of_compiling_is_shown_over_the_still(monkeypatch):
+    go_on = threading.Event()
+
+    def prepare(scene, progress):
+        progress(4, 9, "hinges")
+        go_on.wait(20)
+
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=prepare)
+    lab.start()
+    client = RawClient(lab.url)
+    client.look()
+    wait_until(lambda: any("compiling 5 of 9 kernels, hinges" in text for text in labels(client)))
+    assert any(m["type"] == "MeshMessage" and m["name"] == "/variant1/cloth" for m in client.messages)
+    assert lab.frames == []
+    go_on.set()
+    wait_until(lambda: lab.frames and lab.frames[0].time > 0)
+    client.close()
+    lab.stop()
+
+
+def test_compiler_that_fails_is_reported_and_the_page_lives():
+    def prepare(scene, progress):
+        raise RuntimeError("no compiler here")
+
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=prepare)
+    lab.start()
+    client = RawClient(lab.url)
+    client.look()
+    wait_until(lambda: any("no compiler here" in str(m) for m in client.messages))
+    client.close()
+    lab.stop()
+
+
+def test_bad_scene_is_refused_before_anything_starts():
+    threads = threading.active_count()
+    with pytest.raises(SceneError):
+        Lab("no such scene", port=0)
+    assert threading.active_count() == threads
+
+
+def test_taken_port_is_not_printed(lab):
+    other = Lab(SCENE, port=int(lab.url.rpartition(":")[2]), build=FakeWorld, prepare=nothing_to_compile)
+    assert other.url != lab.url
+    client = RawClient(other.url, origin=other.url)
+    client.close()
+    other.start()
+    other.stop()
+
+
+def test_stop_in_the_middle_of_a_step_ends_all_threads(client, lab):
+    wait_until(lambda: times(lab)[0] > 0)
+    threading.Timer(0.3, lambda: [world.gate.set() for world in FakeWorld.made]).start()
+    for world in FakeWorld.made:
+        world.gate.clear()
+    lab.stop()
+    assert not lab._thread.is_alive()
+    assert not any(lane.is_alive() for lane in lab._lanes)
+
+
+PROGRAM = """
+import sys
+sys.path.insert(0, {tests!r})
+import server.lab
+from fake_world import SCENE, FakeWorld, nothing_to_compile
+server.lab.build_world, server.lab.compile_kernels = FakeWorld, nothing_to_compile
+server.lab.webbrowser.open = lambda url: sys.stdout.write(f"opened {{url}}\\n")
+server.lab.Lab.__init__.__defaults__ = ("drape", "127.0.0.1", 8080, FakeWorld, nothing_to_compile)
+server.lab.run_lab(SCENE, port=0, open_browser={open_browser})
+sys.stdout.write("ended cleanly\\n")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("open_browser", [True, False])
+def test_lab_prints_its_real_address_and_ends_on_a_signal(number, open_browser):
+    code = PROGRAM.format(tests=str(Path(__file__).parent), open_browser=open_browser)
+    process = subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True)
+    first = process.stdout.readline()
+    url = re.fullmatch(r"Muslin is at (http://127\.0\.0\.1:\d+) .*\n", first)[1]
+    if open_browser:
+        assert process.stdout.readline() == f"opened {url}\n"
+    client = RawClient(url, origin=url)
+    client.look()
+    wait_until(lambda: any("1.0 ms" in text for text in labels(client)))
+    process.send_signal(number)
+    rest, _ = process.communicate(timeout=30)
+    assert rest.endswith("ended cleanly\n")
+    assert process.returncode == 0
+    assert "opened" not in rest
+    client.close()

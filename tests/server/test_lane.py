@@ -1,0 +1,138 @@
+"""A lane: commands are carried out between steps, in its own thread."""
+
+import threading
+
+import msgspec
+import pytest
+from fake_world import SCENE, FakeWorld, StepError, wait_until
+
+from server.lane import Advance, Change, Lane, Reset
+from sim import load_scene
+
+STILL = 1 / 60
+
+
+@pytest.fixture
+def start():
+    lanes = []
+
+    def start(build=FakeWorld, **settings):
+        FakeWorld.made.clear()
+        scene = load_scene(SCENE)
+        lane = Lane(
+            lambda s: build(scene, s), msgspec.structs.replace(scene.settings, **settings), lambda: None
+        )
+        lanes.append(lane)
+        lane.start()
+        wait_until(lambda: not lane.busy)
+        return lane
+
+    yield start
+    for lane in lanes:
+        for world in FakeWorld.made:
+            world.gate.set()
+        lane.stop()
+        lane.join(5)
+        assert not lane.is_alive()
+
+
+def finish(lane, *commands):
+    for command in commands:
+        lane.send(command)
+    wait_until(lambda: not lane.busy)
+    return lane.frame
+
+
+def test_lane_advances_by_the_time_asked_for(start):
+    frame = finish(start(dt=0.01), Advance(0.1))
+    assert (frame.steps, frame.time) == (10, pytest.approx(0.1))
+    assert frame.positions.dtype == "float32"
+    assert frame.ms == {"solve": 1.0, "total": 1.0}
+
+
+def test_lanes_with_different_steps_stay_on_one_clock(start):
+    """Lanes may be at most one step apart, and never drift."""
+    coarse, fine = start(dt=0.03), start(dt=0.007)
+    for _ in range(50):
+        finish(coarse, Advance(0.033))
+        finish(fine, Advance(0.033))
+        assert abs(coarse.frame.time - fine.frame.time) < 0.03
+    assert coarse.frame.time == pytest.approx(50 * 0.033, abs=0.03)
+
+
+def test_change_takes_effect_between_two_steps_of_one_advance(start):
+    lane = start(dt=0.01)
+    (world,) = FakeWorld.made
+    world.gate.clear()
+    lane.send(Advance(0.1))
+    lane.send(Change({"gamma": 0.7}))
+    world.gate.set()
+    wait_until(lambda: not lane.busy)
+    assert world.updates == [{"gamma": 0.7}]
+    assert world.steps == 10
+
+
+def test_flood_of_changes_is_carried_out_as_one(start):
+    lane = start()
+    (world,) = FakeWorld.made
+    world.gate.clear()
+    lane.send(Advance(STILL))
+    wait_until(lambda: lane.waiting)
+    for i in range(1000):
+        lane.send(Change({"gamma": i / 1000}))
+    world.gate.set()
+    wait_until(lambda: not lane.busy)
+    assert world.updates == [{"gamma": 0.999}]
+
+
+def test_refused_step_stops_the_lane_until_a_change_revives_it(start):
+    lane = start()
+    frame = finish(lane, Change({"density": 200.0}), Advance(STILL))
+    assert "too heavy" in frame.refused
+    assert finish(lane, Advance(10.0)).time == 0.0, "time that passes meanwhile is not owed"
+    frame = finish(lane, Change({"density": 0.2}), Advance(STILL))
+    assert (frame.refused, frame.steps) == ("", 1)
+
+
+def test_reset_revives_and_starts_again(start):
+    lane = start()
+    finish(lane, Advance(0.5), Change({"density": 200.0}), Advance(STILL))
+    frame = finish(lane, Reset(load_scene(SCENE).settings))
+    assert (frame.refused, frame.time, frame.report, frame.ms) == ("", 0.0, None, None)
+
+
+def test_refused_change_is_noted_and_steps_go_on(start):
+    lane = start()
+    frame = finish(lane, Change({"gamma": 13.0}), Advance(STILL))
+    assert (frame.note, frame.steps) == ("gamma: unlucky", 1)
+    assert finish(lane, Change({"gamma": 1.0})).note == ""
+
+
+def test_simulation_that_cannot_be_built_says_why_and_can_be_tried_again(start):
+    attempts = []
+
+    def build(scene, settings):
+        attempts.append(settings)
+        if len(attempts) == 1:
+            raise StepError("no such thing")
+        return FakeWorld(scene, settings)
+
+    lane = start(build)
+    assert "no such thing" in lane.frame.refused
+    assert not lane.ready
+    finish(lane, Change({"gamma": 1.0}), Advance(STILL))
+    assert finish(lane, Reset(load_scene(SCENE).settings), Advance(STILL)).steps == 1
+
+
+def test_lane_stops_in_the_middle_of_an_advance(start):
+    lane = start(dt=1e-6)
+    lane.send(Advance(1e9))
+    wait_until(lambda: FakeWorld.made[0].steps > 10)
+    lane.stop()
+    lane.join(5)
+    assert not lane.is_alive()
+
+
+def test_lanes_step_in_threads_of_their_own(start):
+    start(), start()
+    assert len({w.thread for w in FakeWorld.made} | {threading.get_ident()}) >= 2

@@ -1,0 +1,217 @@
+"""What a simulation promises: transactions, live settings, snapshots, and the same bits on any number of threads."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+import sim
+from sim import simulation as module
+from tests.worlds import ball, chain, grid, irregular, scene
+
+DRAPE = scene(grid(resolution=(16, 16), position=[0, 0, 0.35]), ball(), gravity=[0, 0, -9.81])
+
+
+def bits(world):
+    """A digest of everything that moves."""
+    return hashlib.sha256(world.positions.tobytes() + world.velocities.tobytes()).hexdigest()
+
+
+def run(steps, **settings):
+    world = sim.Simulation(DRAPE, **settings)
+    for _ in range(steps):
+        world.step()
+    return world
+
+
+@pytest.mark.parametrize("contact", ["penalty", "impulse"])
+@pytest.mark.parametrize("bend", ["cross", "angle"])
+def test_the_same_scene_gives_the_same_bits_on_any_number_of_threads(contact, bend):
+    digests = {bits(run(40, contact=contact, bend=bend, threads=threads)) for threads in (1, 1, 2, 64)}
+    assert len(digests) == 1
+
+
+def test_the_seed_decides_the_jitter_to_the_bit():
+    a, b, c = (sim.Simulation(DRAPE, jitter=1e-4, seed=seed) for seed in (1, 1, 2))
+    assert bits(a) == bits(b) != bits(c)
+    assert 0 < np.abs(a.positions - sim.Simulation(DRAPE).positions).max() < 1e-3
+
+
+@pytest.mark.parametrize("change", [{}, {"bend": "cross"}, {"mass": "constant"}, {"contact": "none"}])
+def test_a_restored_snapshot_goes_on_with_the_same_bits(change):
+    world = run(25)
+    saved = world.snapshot()
+    for _ in range(10):
+        world.step()
+    once, settings = bits(world), world.settings
+    world.update(**change)
+    world.step()
+    world.restore(saved)
+    assert world.time == saved.time
+    assert world.settings == settings
+    for _ in range(10):
+        world.step()
+    assert bits(world) == once
+
+
+def test_a_snapshot_restores_into_a_new_simulation_of_the_scene():
+    world = run(25, bend="cross")
+    fresh = sim.Simulation(DRAPE)
+    fresh.restore(world.snapshot())
+    world.step()
+    fresh.step()
+    assert bits(world) == bits(fresh)
+
+
+def test_an_update_keeps_positions_and_velocities_to_the_bit():
+    world = run(20)
+    before = bits(world)
+    world.update(gamma=1.0, rest_angle=0.3, bend="cross", stretch=500.0, contact="penalty", mass="constant")
+    assert bits(world) == before
+    assert world.settings.bend == "cross"
+    world.step()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gamma": -1}, "gamma: expected ≥ 0"),
+        ({"bend": "glue"}, 'bend: expected one of "none", "cross", "angle"'),
+        ({"dt": float("nan")}, "dt: expected"),
+        ({"stretch": "stiff"}, "stretch: expected"),
+        ({"newton": 1.5}, "newton: expected a whole number"),
+        ({"gravity": [0, 0]}, "gravity: expected three finite numbers"),
+        ({"colour": "red"}, "colour: no such setting"),
+        ({"friction": 0.1, "thickness": 0}, "thickness: expected"),
+    ],
+)
+def test_a_bad_update_is_refused_in_one_line_and_changes_nothing(change, words):
+    world = run(3)
+    before, settings = bits(world), world.settings
+    with pytest.raises(ValueError, match="expected|no such") as error:
+        world.update(**change)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+    assert (bits(world), world.settings) == (before, settings)
+    with pytest.raises(ValueError, match="expected|no such"):
+        sim.Simulation(DRAPE, **change)
+
+
+def test_the_energy_that_a_change_puts_in_is_booked_once():
+    world = sim.Simulation(scene(irregular(), bend="angle", bending=1e-2))
+    before = sum(world.energy().values())
+    world.update(rest_angle=0.5, stretch=500.0)
+    put_in = sum(world.energy().values()) - before
+    assert put_in > 0
+    assert world.step().energy_injected == pytest.approx(put_in, rel=1e-12)
+    assert world.step().energy_injected == 0.0
+
+
+def test_a_step_that_blows_up_is_refused_and_leaves_the_state(monkeypatch):
+    world = run(10)
+    before, time = bits(world), world.time
+    memory = {k: v.copy() for k, v in world.model.memory().items()}
+
+    def poisoned(*args):
+        result = module_backward_euler(*args)
+        result.velocities[0] = np.nan
+        return result
+
+    module_backward_euler = module.backward_euler
+    monkeypatch.setattr(module, "backward_euler", poisoned)
+    with pytest.raises(sim.StepError) as error:
+        world.step()
+    assert error.value.phase == "respond"
+    assert error.value.setting in str(error.value)
+    assert (bits(world), world.time) == (before, time)
+    assert all(np.array_equal(memory[k], v) for k, v in world.model.memory().items())
+    monkeypatch.undo()
+    world.step()
+    assert bits(world) == bits(run(11))
+
+
+def test_an_unsolvable_system_names_the_phase():
+    world = run(2)
+    world.model.masses[:] = -1.0
+    before = bits(world)
+    with pytest.raises(sim.StepError, match="solve") as error:
+        world.step()
+    assert error.value.phase == "solve"
+    assert bits(world) == before
+
+
+def test_views_cannot_be_written_to():
+    world = run(1)
+    for view in (world.positions, world.velocities, world.masses, world.triangles, world.edges, world.pinned):
+        with pytest.raises(ValueError, match="read-only"):
+            view[...] = 0
+
+
+def test_pinned_vertices_do_not_move_by_a_bit():
+    pinned = scene(grid(pins=["left", 30]), ball((0.2, 0, -0.3), 0.25), gravity=[0, 0, -9.81])
+    world = sim.Simulation(pinned)
+    start = world.positions[world.pinned].copy()
+    for _ in range(40):
+        world.step()
+    assert (world.positions[world.pinned] == start).all()
+    assert not world.velocities[world.pinned].any()
+
+
+def test_a_fully_pinned_cloth_stands_still():
+    world = sim.Simulation(scene(grid(resolution=(3, 3), pins=list(range(9))), gravity=[0, 0, -9.81]))
+    start = bits(world)
+    world.step()
+    assert bits(world) == start
+
+
+@pytest.mark.parametrize(
+    "cloth",
+    [
+        {"vertices": [[0, 0, 0]]},
+        {"vertices": [[0, 0, 0], [1, 1, 1]]},
+        {"vertices": [[0, 0, 0]] * 3, "triangles": [[0, 1, 2]]},
+        {"vertices": [[0, 0, 0], [1, 0, 0], [2, 0, 0]], "triangles": [[0, 1, 2]]},
+        {"vertices": [[0, 0, 0], [1, 0, 0], [0.5, 1e-9, 0], [0.5, -1, 0]], "triangles": [[0, 1, 2], [1, 0, 3]]},
+        chain([[0, 0, 0], [0, 0, 0], [0, 0, 1]], [1e-6, 1.0, 1e6], pins=[2]),
+    ],
+    ids=["point", "two points", "one place", "zero area", "needle", "chain of a trillion to one"],
+)
+@pytest.mark.parametrize("bend", ["none", "cross", "angle"])
+def test_degenerate_cloth_stays_finite(cloth, bend):
+    world = sim.Simulation(scene(cloth, {"kind": "plane", "point": [0, 0, -0.5]}, gravity=[0, 0, -9.81], bend=bend))
+    for _ in range(60):
+        world.step()
+    assert np.isfinite(world.positions).all()
+    assert world.positions[:, 2].min() > -0.5
+
+
+@pytest.mark.parametrize(
+    "extreme",
+    [
+        {"stretch": 1e8}, {"stretch": 0.0}, {"gamma": 1000.0}, {"gamma": 0.0}, {"bending": 1e4}, {"dt": 1.0}, {"dt": 1e-6},
+        {"rest_angle": 3.14, "bending": 1.0}, {"rest_angle": -3.14, "bend": "cross", "bending": 1.0}, {"density": 1e-4},
+        {"density": 1e3}, {"thickness": 0.1}, {"thickness": 1e-5}, {"friction": 10.0}, {"gravity": [0, 0, -1e4]},
+        {"newton": 3, "dt": 0.1, "stretch": 1e6}, {"tolerance": 1e-12}, {"tolerance": 1e-2}, {"mass": "constant"},
+    ],
+    ids=str,
+)  # fmt: skip
+@pytest.mark.parametrize("contact", ["penalty", "impulse"])
+def test_every_end_of_every_slider_gives_a_finite_state(extreme, contact):
+    world = sim.Simulation(
+        scene(grid(resolution=(8, 8), position=[0, 0, 0.31]), ball(), gravity=[0, 0, -9.81], contact=contact), **extreme
+    )
+    for _ in range(20):
+        world.step()
+    assert np.isfinite(world.positions).all()
+    assert np.isfinite(list(world.energy().values())).all()
+
+
+def test_the_report_says_what_ran_and_why_not():
+    world = sim.Simulation(scene(grid(), bend="none", gamma=0.0))
+    report = world.step()
+    assert report.effects["gravity"].startswith("off")
+    assert report.effects["bending"].startswith("off")
+    assert report.effects["damping"].startswith("off")
+    assert report.effects["contact"].startswith("off")
+    assert report.effects["edge springs"] == "ran"
+    assert report.ms["total"] == pytest.approx(sum(v for k, v in report.ms.items() if k != "total"))
