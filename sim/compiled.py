@@ -10,8 +10,12 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numba
-from numba.core.dispatcher import Dispatcher
+from sim.cache import choose_cache
+
+choose_cache()  # before Numba reads where its cache is
+
+import numba  # noqa: E402
+from numba.core.dispatcher import Dispatcher  # noqa: E402
 
 inner = numba.njit(cache=True, error_model="numpy")
 

@@ -10,6 +10,7 @@ from sim.contact.gap import GapSprings
 from sim.elements import elastic_energy, set_damping, set_matrix_factors, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
+from sim.solve.multiscale import build_preconditioner
 from sim.solve.system import add_elements, add_forces, build_system, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
 
@@ -25,7 +26,7 @@ class Model:
         piece_masses: (pieces,) [kg].
         springs: one per kind in force.
         matrix: A, filled by `linearise`.
-        inverse_diagonal: (n, 3, 3) room for the preconditioner.
+        preconditioner: of A, refreshed for each solve.
     """
 
     def __init__(self, mesh: Mesh, settings: Settings) -> None:
@@ -34,7 +35,6 @@ class Model:
         n = len(mesh.vertices)
         self.free = np.ones(n, dtype=bool)
         self.free[mesh.pinned] = False
-        self.inverse_diagonal = np.zeros((n, 3, 3))
         self._forces = np.zeros((n, 3))
         self._set_masses()
         self._set_springs()
@@ -67,6 +67,7 @@ class Model:
             springs.apply(self.settings)
         stencils = [s.elements.nodes for s in self.springs]
         self.matrix, self._gathers = build_system(len(self.masses), stencils)
+        self.preconditioner = build_preconditioner(self.mesh, self.free, self.matrix)
 
     def linearise(
         self, positions: np.ndarray, velocities: np.ndarray, contacts: GapSprings, h: float

@@ -234,11 +234,20 @@ def load_scene(source: str | Path | dict[str, Any]) -> Scene:
     if isinstance(source, Scene):
         return source
     if isinstance(source, dict):
-        return _checked({"folder": str(Path.cwd()), **source}, "scene", "scene")
+        return _checked({"folder": str(Path.cwd()), **_plain(source)}, "scene", "scene")
     path, table = _toml(source)
     if "folder" in table:
         raise SceneError(f"{source}: folder: no such key; mesh files are looked for beside the scene file")
     return _checked({**table, "folder": str(path.resolve().parent)}, str(source), path.stem)
+
+
+def _plain(value: Any) -> Any:
+    """`value` with NumPy scalars and arrays as numbers and lists."""
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:

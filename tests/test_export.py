@@ -25,6 +25,7 @@ def recorded(steps, frame_time, **settings):
 def test_a_recording_holds_every_frame_and_needs_no_pickle(tmp_path):
     recording = recorded(5, 1 / 60)
     recording.save(tmp_path / "out.npz")
+    assert os.listdir(tmp_path) == ["out.npz"]
     with np.load(tmp_path / "out.npz", allow_pickle=False) as file:
         assert file["positions"].shape == (6, 16, 3)
         assert np.array_equal(file["positions"][-1], recording.world.positions)

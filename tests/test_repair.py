@@ -86,7 +86,7 @@ def test_a_one_sided_strip_is_said_to_be_one():
 
 def test_three_triangles_on_one_edge_are_left_alone():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], dtype=float)
-    triangles = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
+    triangles = np.array([[0, 1, 2], [0, 1, 4], [1, 0, 3]])
     assert wound_alike(vertices, triangles)[1] == []
 
 

@@ -1,4 +1,4 @@
-"""Conjugate gradients with a block-Jacobi preconditioner (Hestenes and Stiefel 1952).
+"""Preconditioned conjugate gradients (Hestenes and Stiefel 1952).
 
 Fixed vertices are eliminated: their entries of every direction are zero. Sums are taken over a fixed number of
 chunks, so the result is the same to the bit for any number of threads.
@@ -17,49 +17,15 @@ import numba
 import numpy as np
 
 from sim.compiled import inner, kernel, parallel_kernel
+from sim.solve.multiscale import CHUNKS, in_order, precondition
 
-CHUNKS = 32
-"""Parts that every sum is split into; more threads than this find no work."""
-
-WINDOW = 12
+WINDOW = 5
 """Iterations d whose drop estimates the error."""
 
 SAFETY = 8.0
 """Largest error of a vertex over the mass-weighted mean that is allowed for."""
 
 CONVERGED, EXHAUSTED, BROKEN = 0, 1, 2
-
-
-@kernel
-def invert_diagonal(diagonal, free, inverse):
-    """Fill `inverse` (n, 3, 3) with the inverses of symmetric positive blocks, zero for fixed vertices."""
-    for i in range(len(diagonal)):
-        if not free[i]:
-            inverse[i] = 0.0
-            continue
-        a, b, c = diagonal[i, 0, 0], diagonal[i, 0, 1], diagonal[i, 0, 2]
-        d, e, f = diagonal[i, 1, 1], diagonal[i, 1, 2], diagonal[i, 2, 2]
-        # Scaled to 1, so that the determinant of a very stiff or very light vertex neither over- nor underflows.
-        size = max(a, d, f)
-        a, b, c, d, e, f = a / size, b / size, c / size, d / size, e / size, f / size
-        xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
-        determinant = a * xx + b * xy + c * xz
-        s = 1.0 / (determinant * size)
-        inverse[i, 0, 0] = xx * s
-        inverse[i, 0, 1] = inverse[i, 1, 0] = xy * s
-        inverse[i, 0, 2] = inverse[i, 2, 0] = xz * s
-        inverse[i, 1, 1] = (a * f - c * c) * s
-        inverse[i, 1, 2] = inverse[i, 2, 1] = (b * c - a * e) * s
-        inverse[i, 2, 2] = (a * d - b * b) * s
-
-
-@inner
-def in_order(parts):
-    """The sum of `parts`, first to last."""
-    total = 0.0
-    for part in parts:
-        total += part
-    return total
 
 
 @parallel_kernel
@@ -90,21 +56,13 @@ def multiply(matrix, free, x, y, partial):
     return in_order(partial)
 
 
-@parallel_kernel
-def advance(inverse, alpha, p, ap, x, r, z, partial):
-    """Step x += α p, r −= α A p; fill z = P⁻¹ r and return rᵀ z."""
-    n = len(x)
-    for chunk in numba.prange(CHUNKS):
-        total = 0.0
-        for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
-            for c in range(3):
-                x[i, c] += alpha * p[i, c]
-                r[i, c] -= alpha * ap[i, c]
-            for c in range(3):
-                z[i, c] = inverse[i, c, 0] * r[i, 0] + inverse[i, c, 1] * r[i, 1] + inverse[i, c, 2] * r[i, 2]
-                total += z[i, c] * r[i, c]
-        partial[chunk] = total
-    return in_order(partial)
+@inner
+def step_along(alpha, p, ap, x, r):
+    """x += α p and r −= α A p."""
+    for i in range(len(x)):
+        for c in range(3):
+            x[i, c] += alpha * p[i, c]
+            r[i, c] -= alpha * ap[i, c]
 
 
 @inner
@@ -116,13 +74,12 @@ def turn(p, z, beta):
 
 
 @kernel
-def conjugate_gradients(matrix, inverse, free, b, x, shortcut, tolerance, most):
+def conjugate_gradients(matrix, preconditioner, b, x, shortcut, tolerance, most):
     """Solve A x = b on free vertices.
 
     Args:
         matrix: A, symmetric positive definite.
-        inverse: (n, 3, 3) inverses of its diagonal blocks, zero for fixed vertices.
-        free: (n,) bool.
+        preconditioner: P⁻¹, refreshed for A; says which vertices are free.
         b: (n, 3) right-hand side.
         x: (n, 3) the guess, overwritten by the solution; fixed entries must be zero.
         shortcut: (n, 3) a direction that may hold most of the error (free fall), or zero.
@@ -132,7 +89,7 @@ def conjugate_gradients(matrix, inverse, free, b, x, shortcut, tolerance, most):
     Returns:
         (iterations, estimated error in the norm of `tolerance`, CONVERGED, EXHAUSTED or BROKEN).
     """
-    partial = np.zeros(CHUNKS)
+    free, partial = preconditioner.free, np.zeros(CHUNKS)
     drops = np.zeros(WINDOW)
     r, z, p, ap = np.zeros(b.shape), np.zeros(b.shape), np.zeros(b.shape), np.zeros(b.shape)
     multiply(matrix, free, x, ap, partial)
@@ -144,7 +101,8 @@ def conjugate_gradients(matrix, inverse, free, b, x, shortcut, tolerance, most):
     for i in range(len(b)):
         for c in range(3):
             along += shortcut[i, c] * r[i, c]
-    rz = advance(inverse, along / curvature if curvature > 0.0 else 0.0, shortcut, ap, x, r, z, partial)
+    step_along(along / curvature if curvature > 0.0 else 0.0, shortcut, ap, x, r)
+    rz = precondition(preconditioner, r, z, partial)
     turn(p, z, 0.0)
     estimate = math.inf
     for k in range(most):
@@ -157,7 +115,8 @@ def conjugate_gradients(matrix, inverse, free, b, x, shortcut, tolerance, most):
         drops[k % WINDOW] = alpha * rz
         estimate = SAFETY * math.sqrt(in_order(drops))
         old = rz
-        rz = advance(inverse, alpha, p, ap, x, r, z, partial)
+        step_along(alpha, p, ap, x, r)
+        rz = precondition(preconditioner, r, z, partial)
         if k + 1 >= WINDOW and estimate <= tolerance:
             return k + 1, estimate, CONVERGED
         turn(p, z, rz / old)

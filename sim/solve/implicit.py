@@ -16,7 +16,8 @@ from sim.compiled import corner, dot, kernel, row
 from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
-from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients, invert_diagonal
+from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients
+from sim.solve.multiscale import refresh
 
 MOST_ITERATIONS = 5000
 """Iterations after which a linear solve gives up; what it has then is still a descent direction."""
@@ -115,18 +116,11 @@ class _Linear:
 def _solve(model, settings, forces, change, guess, shortcut, h) -> _Linear:
     """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step."""
     to_metres = h / math.sqrt(model.free_mass or 1.0)
-    invert_diagonal(model.matrix.diagonal, model.free, model.inverse_diagonal)
+    refresh(model.preconditioner, model.matrix)
     b = model.masses[:, None] * change + h * forces
     step = guess.copy()
     iterations, error, status = conjugate_gradients(
-        model.matrix,
-        model.inverse_diagonal,
-        model.free,
-        b,
-        step,
-        shortcut,
-        settings.tolerance / to_metres,
-        MOST_ITERATIONS,
+        model.matrix, model.preconditioner, b, step, shortcut, settings.tolerance / to_metres, MOST_ITERATIONS
     )
     if status == BROKEN or not np.isfinite(step).all():
         raise SolveError("the linear system is not positive definite or not finite")

@@ -130,7 +130,7 @@ class RawClient:
         """Send anything."""
         self._do(self._socket.send(data))
 
-    def look(self):
+    def look(self, image_width=1280, image_height=720):
         """Say where the camera is; only then does viser count this as a client."""
         self.send(
             type="ViewerCameraMessage",
@@ -139,8 +139,8 @@ class RawClient:
             fov=0.6,
             near=0.01,
             far=100.0,
-            image_height=720,
-            image_width=1280,
+            image_height=image_height,
+            image_width=image_width,
             look_at=[0.0, 0.0, 0.0],
             up_direction=[0.0, 0.0, 1.0],
         )

@@ -51,6 +51,9 @@ def test_values_read_with_their_units():
 
 def test_names_carry_the_symbol_of_what_differs(comparison):
     assert comparison.compared_by("gamma").name(0) == "γ 0.2"
+    assert comparison.compared_by("stretch").name(0) == "stretch stiffness 50 N"
+    assert comparison.compared_by("stretch").short_name(0) == "50 N"
+    assert comparison.compared_by("stretch").with_count(3).name(0) == "50 N"
 
 
 def test_friction_is_idle_only_where_no_variant_looks_for_contacts():

@@ -150,7 +150,7 @@ def test_progress_of_compiling_is_shown_over_the_still(monkeypatch):
     client = RawClient(lab.url)
     client.look()
     wait_until(lambda: any("compiling 5 of 9 kernels, hinges" in text for text in labels(client)))
-    assert any(m["type"] == "MeshMessage" and m["name"] == "/variant1/cloth" for m in client.messages)
+    assert any(m["type"] == "MeshMessage" and m["name"] == "/take1/variant1/cloth" for m in client.messages)
     assert lab.frames == []
     go_on.set()
     wait_until(lambda: lab.frames and lab.frames[0].time > 0)
@@ -229,3 +229,26 @@ def test_lab_prints_its_real_address_and_ends_on_a_signal(number, open_browser):
     assert process.returncode == 0
     assert "opened" not in rest
     client.close()
+
+
+def test_stopped_variant_has_no_numbers_and_a_revived_one_says_how_far_behind_it_is(lab, client):
+    lab.post(lab.compare_by, "density")
+    wait_until(lambda: lab.comparison.by == "density" and len(lab.frames) == 2 and len(FakeWorld.made) == 4)
+    wait_until(lambda: times(lab)[0] > 0)
+    lab.post(lab.set_own, 0, 200.0)
+    wait_until(lambda: lab.frames[0].refused and times(lab)[1] > times(lab)[0] + 0.5)
+    wait_until(lambda: lab._meters[0].ms is None and lab._meters[1].ms is not None)
+    lab.post(lab.set_own, 0, 0.2)
+    wait_until(lambda: any("s behind" in text for text in labels(client)))
+
+
+def test_nonsense_camera_leaves_the_lab_running(lab, client):
+    crowd = [RawClient(lab.url) for _ in range(4)]
+    for hostile, size in zip(crowd, ("wide", float("nan"), 0, -5), strict=True):
+        hostile.look(image_width=size, image_height=size)
+    client.set(client.find("damping ratio γ"), 0.5)
+    wait_until(lambda: lab.comparison.shared.gamma == 0.5)
+    reached = times(lab)
+    wait_until(lambda: times(lab)[0] > reached[0])
+    for hostile in crowd:
+        hostile.close()

@@ -1,0 +1,232 @@
+"""Every scene that comes with Muslin, stepped headless to numbers that physics gives.
+
+One test runs all of them in all the variants that they compare; then each scene is held to its own lesson.
+"""
+
+import numpy as np
+import pytest
+
+import sim
+from sim.scene import scene_files
+
+ROUND_OFF = 1e-12
+"""Distances that differ by less than this [m] are the same: positions are about 1 m in double precision."""
+
+
+def run(scene, seconds, **settings):
+    """Step a scene; returns the simulation, its reports, and its total energy [J] at the start and after."""
+    world = sim.Simulation(scene, **settings)
+    reports, energies = [], [sum(world.energy().values())]
+    while world.time < seconds - ROUND_OFF:
+        reports.append(world.step())
+        energies.append(sum(world.energy().values()))
+    return world, reports, np.array(energies)
+
+
+def strains(world):
+    """Relative change of length of each edge."""
+    now, rest = (
+        np.linalg.norm(np.diff(points[world.edges], axis=1)[:, 0], axis=1)
+        for points in (world.positions, world.mesh.rest_vertices)
+    )
+    return now / rest - 1.0
+
+
+def variants():
+    for path in scene_files():
+        compare = sim.load_scene(path.stem).compare
+        yield from (pytest.param(path.stem, {compare.by: value}) for value in compare.values)
+
+
+LARGEST_STRAIN = 0.1
+"""Cloth that stretches or shrinks more than this by the weight of itself looks like rubber."""
+
+FASTEST = 8.0
+"""Free fall from the highest scene's cloth to the floor ends at 4.6 m/s [m/s]; faster is an explosion."""
+
+
+@pytest.mark.parametrize(("scene", "settings"), list(variants()))
+def test_the_first_two_seconds_of_every_variant_are_calm(scene, settings):
+    """No step fails, nothing flies apart, the cloth keeps its size, and impulses let nothing in."""
+    world = sim.Simulation(scene, **settings)
+    while world.time < 2.0:
+        report = world.step()
+        assert report.converged
+        assert np.abs(world.velocities).max() < FASTEST
+        if world.settings.contact == "impulse":
+            assert report.penetrations == 0
+    assert np.abs(strains(world)).max() < LARGEST_STRAIN
+
+
+# Drape
+
+
+@pytest.fixture(scope="module")
+def draped():
+    return {contact: run("drape", 2.5, contact=contact) for contact in ("impulse", "penalty")}
+
+
+def radius_in_drape(world):
+    ball = world.scene.obstacle[0]
+    return np.linalg.norm(world.positions - np.array(ball.center), axis=1).min(), ball.radius
+
+
+FOLDS = 0.02
+"""Folds lift a corner from where a flat diagonal would end, and its weight lowers it, by up to this [m]."""
+
+
+@pytest.mark.parametrize("contact", ["impulse", "penalty"])
+def test_the_corners_of_the_drape_hang_where_its_diagonal_ends(draped, contact):
+    """Half a diagonal lies on a quarter of the ball's girth; the rest hangs straight down from its waist."""
+    world = draped[contact][0]
+    ball, side = world.scene.obstacle[0], world.scene.cloth[0].size[0]
+    around = 0.5 * np.pi * (ball.radius + world.settings.thickness)
+    lowest = ball.center[2] - (side / 2**0.5 - around)
+    assert world.positions[:, 2].min() == pytest.approx(lowest, abs=FOLDS)
+
+
+def test_impulses_keep_the_drape_outside_the_ball_at_every_step(draped):
+    world, reports, _ = draped["impulse"]
+    assert max(report.deepest for report in reports) == 0.0
+    nearest, radius = radius_in_drape(world)
+    assert nearest >= radius + world.settings.thickness - ROUND_OFF
+
+
+def test_penalty_springs_let_the_drape_sink_in_where_it_lands_as_the_lesson_says(draped):
+    world, reports, _ = draped["penalty"]
+    assert 0.005 < max(report.deepest for report in reports) < 0.05
+    nearest, radius = radius_in_drape(world)
+    assert nearest < radius
+
+
+def test_the_drape_comes_to_rest(draped):
+    """At rest its energy is a thousandth of the 1.1 J that it lost."""
+    for world, _, energies in draped.values():
+        assert world.energy()["kinetic"] < 1e-3 * (energies[0] - energies[-1])
+
+
+LINEARISED = 1e-3
+"""One Newton iteration per step of 1/480 s may err by this much [J] where the drape lands, of 3 J.
+
+The error falls steeply with the step: 1.3 J at 1/60 s, 0.4 J at 1/120 s, 0.03 J at 1/240 s.
+"""
+
+
+def test_the_drape_only_loses_energy_in_small_steps():
+    _, _, energies = run("drape", 1.0, dt=1 / 480)
+    assert np.diff(energies).max() < LINEARISED
+    assert energies.max() < energies[0] + LINEARISED
+
+
+# Curtain
+
+
+def test_the_curtains_pins_do_not_move_a_bit():
+    world = sim.Simulation("curtain")
+    pinned = world.positions[world.pinned].copy()
+    assert len(pinned) == 2
+    for _ in range(60):
+        world.step()
+        assert np.array_equal(world.positions[world.pinned], pinned)
+
+
+def test_the_curtain_is_pushed_out_by_the_ball_and_falls_back():
+    """At 1.5 s the ball is furthest and has cloth on its far side; at 3 s it is back where it began."""
+    world, reports, _ = run("curtain", 1.5)
+    ball = world.scene.obstacle[0]
+    assert np.allclose(world.obstacle_poses()[0][0], ball.path[1].position, atol=ROUND_OFF)
+    touching = ball.path[1].position[1] + ball.radius + world.settings.thickness
+    assert world.positions[:, 1].max() >= touching - 1e-3
+    while world.time < 3.0 - ROUND_OFF:
+        reports.append(world.step())
+    assert max(report.deepest for report in reports) == 0.0
+    assert world.positions[:, 1].max() < 0.1
+
+
+# Strip
+
+
+def middle_row(world):
+    """Positions along the middle of the strip, from the clamp to the tip."""
+    rest = world.mesh.rest_vertices
+    middle = np.flatnonzero(rest[:, 1] == np.unique(rest[:, 1])[world.scene.cloth[0].resolution[1] // 2])
+    return world.positions[middle[np.argsort(rest[middle, 0])]]
+
+
+def curvature(row):
+    """Mean turn per length [1/m] of a row of points in the x–z plane, its ends left out; up is positive."""
+    steps = np.diff(row[:, [0, 2]], axis=0)
+    turn = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    return (turn[-5] - turn[5]) / np.linalg.norm(steps[5:-5], axis=1).sum()
+
+
+WIDTH_STIFFENS = 0.08
+"""Share of its curl that the width takes: it would curl across as well, which flattens it along."""
+
+
+@pytest.mark.parametrize("rest_angle", [0.03, -0.03])
+def test_a_weightless_strip_curls_as_tight_as_its_hinges_want(rest_angle):
+    """On a cylinder of curvature κ, hinges aslant fold by κ a/√3 and those along it by −κ a/(2√3).
+
+    The least ½ Σ (θ − θ₀)² over one hinge of each direction is at κ = 2 θ₀/(√3 a), with triangles of side a.
+    """
+    world, _, _ = run("strip", 3.0, gravity=(0, 0, 0), gamma=1.0, rest_angle=rest_angle)
+    side = world.scene.cloth[0].size[0] / (world.scene.cloth[0].resolution[0] - 1)
+    wanted = 2.0 * rest_angle / (3.0**0.5 * side)
+    assert curvature(middle_row(world)) == pytest.approx(wanted, rel=WIDTH_STIFFENS)
+
+
+def test_cross_springs_do_not_know_to_which_side_to_curl():
+    """Flat cloth stays flat to the bit, for either sign of the rest angle and in the same way."""
+    ends = [
+        run("strip", 0.5, gravity=(0, 0, 0), bend="cross", rest_angle=angle)[0].positions
+        for angle in (0.08, -0.08)
+    ]
+    assert np.array_equal(*ends)
+    assert np.ptp(ends[0][:, 2]) == 0.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_hanging_strips_tip_curls_to_the_side_of_its_rest_angle(sign):
+    """It hangs from its left end, its upper side to the right: a positive angle turns the tip that way."""
+    angle = sign * sim.load_scene("strip").settings.rest_angle
+    row = middle_row(run("strip", 3.0, rest_angle=angle)[0])
+    along = np.diff(row, axis=0)
+    lean = np.arctan2(along[:, 0], -along[:, 2])  # from straight down towards positive x
+    assert sign * (lean[-1] - lean[len(lean) // 2]) > 0.3
+
+
+# Tablecloth from a mesh file
+
+
+def test_the_tablecloth_weighs_what_an_oval_of_its_size_weighs():
+    """Its rim is a polygon of about a hundred sides in an ellipse, which is smaller by 2 π² / (3 · 100²)."""
+    world = sim.Simulation("meshcloth")
+    oval = np.pi * 0.72 * 0.56 * world.settings.density
+    assert world.masses.sum() == pytest.approx(oval, rel=1e-3)
+    assert world.masses.sum() < oval
+
+
+def test_the_tablecloth_is_no_grid():
+    """Its edges differ fivefold in length, and its vertices in their number of neighbours."""
+    world = sim.Simulation("meshcloth")
+    lengths = np.linalg.norm(np.diff(world.positions[world.edges], axis=1)[:, 0], axis=1)
+    assert lengths.max() > 5 * lengths.min()
+    assert len(np.unique(np.bincount(world.edges.ravel()))) >= 6
+    assert 1000 < len(world.positions) < 1300
+
+
+def test_the_tablecloth_hangs_still_over_its_bolster():
+    """On both sides it reaches below the capsule's middle, and nothing moves faster than 1 cm/s."""
+    world, _, energies = run("meshcloth", 3.0)
+    bolster = world.scene.obstacle[0]
+    beside = np.abs(world.positions[:, 0]) > bolster.radius
+    left, right = (world.positions[beside & (sign * world.positions[:, 0] > 0), 2] for sign in (-1, 1))
+    assert min(len(left), len(right)) > 100
+    assert max(left.min(), right.min()) < bolster.start[2]
+    assert np.sqrt((world.velocities**2).sum(axis=1)).max() < 0.01
+    assert energies[-1] < energies[0]
+
+
+def test_no_scene_is_left_without_a_test_of_its_own():
+    assert {path.stem for path in scene_files()} == {"curtain", "drape", "meshcloth", "strip"}
