@@ -1,0 +1,226 @@
+"""The `muslin` command: the lab in a browser, and headless runs and checks of scenes.
+
+Heavy packages (numba, trimesh, viser) are imported by the commands that need them, so that help, checks and
+lists answer at once. What goes wrong is one line on standard error and a non-zero exit code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
+
+import sim
+from sim.scene import SceneError, load_scene, scene_files
+
+Texts = tuple[str, ...]
+SceneName = Annotated[str, Positional, arg(metavar="SCENE")]
+
+
+@dataclass(kw_only=True)
+class Lab:
+    """Open the lab in a browser; this is what `muslin` without a command does."""
+
+    scene: Annotated[str, arg(metavar="SCENE")] = "drape"
+    """Scene to begin with: a file, or one of `muslin scenes`."""
+    port: int = 8080
+    """Where to serve the page; the next free port if this one is taken."""
+    host: str = "127.0.0.1"
+    """Address to listen on; any but this computer's own lets everybody there in, without a password."""
+    no_browser: bool = False
+    """Only serve the page."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"--port: expected 0 to 65535, got {self.port}")
+        load_scene(self.scene)
+        from server.lab import run_lab
+
+        run_lab(self.scene, self.host, self.port, not self.no_browser)
+        return 0
+
+
+@dataclass(kw_only=True)
+class Run:
+    """Run a scene without a page and say what it cost."""
+
+    scene: SceneName
+    """A scene file, or one of `muslin scenes`."""
+    seconds: float = 2.0
+    """Time to simulate [s]."""
+    overrides: Annotated[UseAppendAction[tuple[Texts, ...]], arg(name="set", metavar="NAME=VALUE ...")] = ()
+    """Settings that differ from the scene's, such as gamma=0.5."""
+    out: Annotated[str | None, arg(metavar="FILE.npz")] = None
+    """Record the positions of every frame."""
+    fps: float = 60.0
+    """Frames per simulated second in the recording; never more than steps."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write the table's numbers as JSON."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.headless import run
+
+        overrides = parse_settings([text for texts in self.overrides for text in texts])
+        return run(load_scene(self.scene), overrides, self.seconds, self.fps, self.out, self.json)
+
+
+@dataclass(kw_only=True)
+class Check:
+    """Check scenes, build their cloth and say what looks like a mistake."""
+
+    scenes: Annotated[Texts, Positional, arg(metavar="SCENE ...")] = ()
+    """Scene files; all that come with Muslin if none is given."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from sim.check import check_scene
+
+        failures = 0
+        for name in self.scenes or map(str, scene_files()):
+            try:
+                mesh, warnings = check_scene(load_scene(name))
+            except SceneError as error:
+                failures += 1
+                _complain(error)
+                continue
+            for warning in warnings:
+                _say(f"{name}: {warning}")
+            counts = f"{len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles"
+            warned = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
+            _say(f"{name}: fine: {counts}, {len(mesh.pinned):,} pinned{warned}")
+        return 1 if failures else 0
+
+
+@dataclass(kw_only=True)
+class Scenes:
+    """List the scenes that come with Muslin."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table("scene", "title", "vertices", "what to look for")
+        table.columns[2].justify = "right"
+        for path in scene_files():
+            scene = load_scene(path)
+            lesson = scene.lesson
+            count = f"{n:,}" if (n := count_vertices(scene)) is not None else "–"
+            table.add_row(path.stem, lesson.title if lesson else "", count, lesson.look_for if lesson else "")
+        Console(width=None if sys.stdout.isatty() else 120).print(table)
+        return 0
+
+
+COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes}
+
+DESCRIPTION = """Try cloth simulation methods side by side.
+
+`muslin` opens the lab in a browser, and takes the options of `muslin lab`."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit code: 0, 1 for what went wrong, 2 for a wrong call."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    for stream in (sys.stdout, sys.stderr):  # γ and ≥ must not end the command on a terminal without them
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    if arguments[:1] == ["--version"]:
+        _say(f"muslin {sim.__version__}")
+        return 0
+    try:
+        return _parse(arguments)()
+    except (ValueError, OSError) as error:
+        _complain(error)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def parse_settings(texts: list[str]) -> dict[str, object]:
+    """Settings by name from texts `name=value`; ValueError names the setting and what is allowed."""
+    from sim.settings import parse
+
+    settings: dict[str, object] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ValueError(f"--set: expected name=value, got {text!r}")
+        settings[name.strip()] = parse(name.strip(), value.strip())
+    return settings
+
+
+def count_vertices(scene: sim.Scene) -> int | None:
+    """Vertices of a scene without building its mesh; None where only building it can tell."""
+    from sim.scene import Arrays, Equilateral, Grid
+
+    total = 0
+    for cloth in scene.cloth:
+        if isinstance(cloth, Grid | Equilateral):
+            total += cloth.resolution[0] * cloth.resolution[1]
+            total += cloth.resolution[1] // 2 if isinstance(cloth, Equilateral) else 0
+        elif isinstance(cloth, Arrays):
+            total += len(cloth.vertices)
+        else:
+            from sim.meshfile import vertex_count
+
+            claimed = vertex_count(cloth.file, scene.folder)
+            if claimed is None:
+                return None
+            total += claimed
+    return total
+
+
+def _parse(arguments: list[str]):
+    """The command that the arguments mean; SystemExit after help, or after one line on what is wrong."""
+    first = arguments[0] if arguments else "lab"
+    if first not in COMMANDS and first not in ("-h", "--help"):
+        if not first.startswith("-"):
+            _complain(f"{first}: no such command; expected one of {', '.join(COMMANDS)}")
+            raise SystemExit(2)
+        first = "lab"
+        arguments = ["lab", *arguments]
+    arguments = arguments or ["lab"]
+    problem = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(problem):
+            return tyro.cli(
+                Lab | Run | Check | Scenes,
+                prog="muslin",
+                description=DESCRIPTION,
+                args=arguments,
+                config=(FlagCreatePairsOff,),
+            )
+    except SystemExit as ending:
+        if ending.code:
+            _complain(f"{first}: {_first_line(problem.getvalue())}; see muslin {first} --help")
+        raise
+
+
+def _first_line(box: str) -> str:
+    """The message in a box that tyro drew: what stands between the title and the first rule after it."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", box)
+    message: list[str] = []
+    for line in text.splitlines()[1:]:
+        words = line.strip("│| ")
+        if not set(words) <= set("─-╭╮╰╯+"):
+            message.append(words)
+        elif message:
+            break
+    return " ".join(message) or "wrong call"
+
+
+def _complain(problem: object) -> None:
+    text = " ".join(str(problem).split())
+    sys.stderr.write(f"muslin: {text}\n")
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")

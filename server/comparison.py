@@ -1,0 +1,125 @@
+"""What the variants share and what they differ in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+
+from server.digits import number_text
+from server.palette import MAX_VARIANTS
+from sim.scene import Scene
+from sim.settings import FIELDS, Field, Settings, convert
+
+NOT_COMPARED = {"threads", "seed"}
+"""Settings that change no cloth, or only by chance."""
+
+
+def comparable() -> list[Field]:
+    """The settings that variants can differ in: numbers, and choices that leave one."""
+    fields = [f for f in FIELDS.values() if f.name not in NOT_COMPARED and f.type != "vector"]
+    return [f for f in fields if f.choices is None or len(f.choices()) > 1]
+
+
+def value_text(field: Field, value: Any) -> str:
+    """A setting's value with its unit, as people read it."""
+    if field.type == "vector":
+        return "(" + ", ".join(f"{v:g}" for v in value) + ")" + f" {field.unit}".rstrip()
+    text = value if isinstance(value, str) else number_text(value)
+    return f"{text} {field.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The settings of all variants: the shared ones, and the one that differs.
+
+    Attributes:
+        shared: Settings of every variant, except `by`.
+        by: Name of the setting that differs, or "" for a single cloth.
+        values: Its value in each variant, from left to right; empty without `by`.
+    """
+
+    shared: Settings
+    by: str = ""
+    values: tuple[Any, ...] = ()
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> Comparison:
+        """As the scene's author meant it to be opened."""
+        by, values = scene.compare.by, tuple(scene.compare.values)
+        if by not in {f.name for f in comparable()} or len(values) < 2:
+            return cls(scene.settings)
+        return cls(scene.settings, by, tuple(convert(by, v) for v in values))
+
+    @property
+    def count(self) -> int:
+        """How many variants there are."""
+        return max(1, len(self.values))
+
+    def settings(self, index: int) -> Settings:
+        """All settings of one variant. Each gets one thread where several variants share the machine."""
+        own = {self.by: self.values[index]} if self.by else {}
+        if self.count > 1:
+            own["threads"] = 1
+        return msgspec.structs.replace(self.shared, **own)
+
+    def name(self, index: int) -> str:
+        """What one variant is called: the value that sets it apart."""
+        if not self.by:
+            return "cloth"
+        words = FIELDS[self.by].label.split()
+        if FIELDS[self.by].type == "choice" or not words[-1].isascii() or self.count > 2:
+            return self.short_name(index)
+        return f"{' '.join(words)} {self.short_name(index)}"
+
+    def short_name(self, index: int) -> str:
+        """The same where it is plain which setting is meant, or there is little room."""
+        if not self.by:
+            return "cloth"
+        field, symbol = FIELDS[self.by], FIELDS[self.by].label.split()[-1]
+        value = value_text(field, self.values[index])
+        return value if symbol.isascii() else f"{symbol} {value}"
+
+    def place(self, index: int) -> str:
+        """Where one variant stands."""
+        return ("left", "right")[index] if self.count == 2 else f"no. {index + 1}"
+
+    def with_shared(self, name: str, value: Any) -> Comparison:
+        """The same with one shared setting changed."""
+        return replace(self, shared=msgspec.structs.replace(self.shared, **{name: value}))
+
+    def with_value(self, index: int, value: Any) -> Comparison:
+        """The same with one variant's own value changed."""
+        return replace(self, values=(*self.values[:index], value, *self.values[index + 1 :]))
+
+    def compared_by(self, by: str) -> Comparison:
+        """Another setting compared, two variants: its present value beside one that makes a difference."""
+        if not by:
+            return replace(self, by="", values=())
+        present = getattr(self.shared, by)
+        return replace(self, by=by, values=(present, next_value(FIELDS[by], [present])))
+
+    def with_count(self, count: int) -> Comparison:
+        """The same with variants added or left out at the end."""
+        values = list(self.values[:count])
+        while len(values) < min(count, MAX_VARIANTS):
+            values.append(next_value(FIELDS[self.by], values))
+        return replace(self, values=tuple(values))
+
+
+def next_value(field: Field, taken: list[Any]) -> Any:
+    """A value for one more variant that shows a difference to those `taken`."""
+    if field.choices is not None:
+        options = [o for o in field.choices() if o not in taken]
+        return next((o for o in options if o != "none"), options[0] if options else taken[-1])
+    low, high = field.slider or (field.minimum or 0.0, field.maximum or 1.0)
+    if field.scale == "log":
+        ladder = [low * (high / low) ** (i / 4) for i in range(5)]
+        distance = lambda a, b: abs(math.log(max(a, low) / max(b, low)))  # noqa: E731
+    else:
+        ladder = [low + (high - low) * i / 4 for i in range(5)]
+        distance = lambda a, b: abs(a - b)  # noqa: E731
+    value = max(ladder, key=lambda v: min(distance(v, t) for t in taken))
+    return round(value) if field.type == "integer" else float(f"{value:.2g}")

@@ -1,0 +1,34 @@
+"""Numbers as people read them, and round numbers for scales."""
+
+from __future__ import annotations
+
+import math
+
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number_text(value: float) -> str:
+    """Four digits, without an exponent where that is short enough: 10000, 0.0001, 1e-06."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def short(value: float) -> str:
+    """For the end of a small scale: 10k, 0.02, 10⁻⁶."""
+    if value >= 1000:
+        return f"{value / 1000:.3g}k"
+    power = math.log10(value)
+    if power < -2.5 and abs(power - round(power)) < 1e-9:
+        return f"10{str(round(power)).translate(SUPERSCRIPT)}"
+    return f"{value:.2g}"
+
+
+def round_below(value: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten that is not above a positive number."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(m * power for m in (5, 2, 1) if m * power <= value * (1 + 1e-9))
+
+
+def round_above(value: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten that is not below a positive number."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(m * power for m in (1, 2, 5, 10) if m * power >= value * (1 - 1e-9))

@@ -1,0 +1,240 @@
+"""One variant's simulation in a thread of its own: a queue of commands, drained between steps."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from sim.settings import Settings
+
+_log = logging.getLogger(__name__)
+
+ROUNDING = 1e-9
+"""Simulated time [s] that adding up time steps may be off by."""
+
+
+PATIENCE = 0.7
+"""Wall time [s] after which it is said that something takes long."""
+
+
+@dataclass(frozen=True)
+class Advance:
+    """Command: step until this much more simulated time [s] has passed."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """Command: change settings while the simulation runs."""
+
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Command: start again from the beginning, with these settings."""
+
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one variant looks like and cost, at one time. Never changed once made.
+
+    Attributes:
+        positions: (n, 3) float32 [m]; None before there is a simulation.
+        poses: Position [m] and rotation matrix of each obstacle.
+        time: Simulated time [s].
+        steps: How many steps were made since the frame before.
+        ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
+        report: The last step's report, None before the first.
+        energy: Energies [J] by kind.
+        settings: In force when the frame was made.
+        refused: Why the last step was refused; empty while all is well.
+        note: Why the last change of settings was refused; empty if it was not.
+    """
+
+    positions: np.ndarray | None = None
+    poses: list = field(default_factory=list)
+    time: float = 0.0
+    steps: int = 0
+    ms: Mapping[str, float] | None = None
+    report: Any = None
+    energy: Mapping[str, float] = field(default_factory=dict)
+    settings: Settings | None = None
+    refused: str = ""
+    note: str = ""
+
+
+class Lane(threading.Thread):
+    """Steps one simulation. Other threads only `send` commands and read `frame`.
+
+    Args:
+        build: Makes the simulation for some settings; called in this thread.
+        settings: The settings to begin with.
+        on_frame: Called in this thread after each new frame; must return at once.
+    """
+
+    def __init__(self, build: Callable[[Settings], Any], settings: Settings, on_frame: Callable[[], None]):
+        super().__init__(name="muslin lane", daemon=True)
+        self.frame = Frame()
+        self.step_length = settings.dt
+        """The present time step [s]."""
+        self._build = build
+        self._settings = settings
+        self._on_frame = on_frame
+        self._commands: queue.SimpleQueue = queue.SimpleQueue()
+        self._unfinished = 1
+        self._count_lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._world: Any = None
+        self._report: Any = None
+        self._doing = ("", 0.0)
+        self._owed = 0.0
+        self._refused = self._note = ""
+        self._spent: list[Mapping[str, float]] = []
+
+    def send(self, command: Advance | Change | Reset) -> None:
+        """Queue a command; it takes effect between two steps."""
+        with self._count_lock:
+            self._unfinished += 1
+        self._commands.put(command)
+
+    def stop(self) -> None:
+        """Ask the thread to end after the step it is in."""
+        self._stopping.set()
+        self._commands.put(None)
+
+    @property
+    def busy(self) -> bool:
+        """Whether some command has not been carried out to its end."""
+        return self._unfinished > 0
+
+    @property
+    def waiting(self) -> str:
+        """What it has been doing for longer than a step should take; empty most of the time."""
+        what, since = self._doing
+        return f"{what} …" if what and perf_counter() > since + PATIENCE else ""
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a simulation to be stepped."""
+        return self._world is not None
+
+    def run(self) -> None:
+        """Build, then carry out commands until told to stop."""
+        self._start(self._settings)
+        self._finish(1)
+        while not self._stopping.is_set():
+            carried_out = self._drain()
+            while self._owed >= self.step_length - ROUNDING and not self._stopping.is_set():
+                self._step()
+                carried_out += self._drain(wait=False)
+            self._finish(carried_out)
+
+    def _finish(self, commands: int) -> None:
+        self._doing = ("", 0.0)
+        self._show()
+        with self._count_lock:
+            self._unfinished -= commands
+        self._on_frame()
+
+    def _drain(self, wait: bool = True) -> int:
+        """Carry out all queued commands, changes that come in a row as one; how many there were."""
+        commands = [self._commands.get()] if wait else []
+        while not self._commands.empty():
+            commands.append(self._commands.get())
+        changes: dict[str, Any] = {}
+        for command in commands:
+            if isinstance(command, Change):
+                changes.update(command.values)
+                continue
+            self._change(changes)
+            changes = {}
+            if isinstance(command, Advance) and not self._refused:
+                self._owed += command.seconds
+            elif isinstance(command, Reset):
+                self._start(command.settings)
+        self._change(changes)
+        return sum(command is not None for command in commands)
+
+    def _start(self, settings: Settings) -> None:
+        self._owed = 0.0
+        self._spent = []
+        self._refused = self._note = ""
+        self._doing = ("starting", perf_counter())
+        self._world = self._report = None
+        self.step_length = settings.dt
+        try:
+            self._world = self._build(settings)
+        except Exception as error:
+            self._refuse("cannot start", error)
+
+    def _change(self, values: Mapping[str, Any]) -> None:
+        if not values or self._world is None:
+            return
+        self._doing = ("changing settings", perf_counter())
+        try:
+            self._world.update(**values)
+        except ValueError as error:
+            self._note = str(error)
+            return
+        except Exception as error:
+            self._refuse("change failed", error)
+            return
+        self.step_length = self._world.settings.dt
+        self._refused = self._note = ""
+
+    def _step(self) -> None:
+        self._doing = ("stepping", perf_counter())
+        try:
+            report = self._world.step()
+        except Exception as error:
+            self._refuse("step refused", error)
+            return
+        self._owed -= self.step_length
+        self._spent.append(report.ms)
+        self._report = report
+
+    def _refuse(self, what: str, error: Exception) -> None:
+        """Stand still and say why; errors that are no verdict of the simulation also go to the log."""
+        self._owed = 0.0
+        self._refused = f"{what}: {error}"
+        if type(error).__name__ not in ("StepError", "SceneError"):
+            _log.exception("variant stopped: %s", what)
+
+    def _show(self) -> None:
+        """Make the frame that others see."""
+        world = self._world
+        if world is None:
+            self.frame = Frame(refused=self._refused)
+            return
+        self.frame = Frame(
+            positions=world.positions.astype(np.float32),
+            poses=world.obstacle_poses(),
+            time=float(world.time),
+            steps=len(self._spent),
+            ms=mean_ms(self._spent),
+            report=self._report,
+            energy=dict(world.energy()),
+            settings=world.settings,
+            refused=self._refused,
+            note=self._note,
+        )
+        self._spent = []
+
+
+def mean_ms(reports: list[Mapping[str, float]]) -> dict[str, float] | None:
+    """The mean of reports' milliseconds, phase by phase; None of none."""
+    if not reports:
+        return None
+    phases = dict.fromkeys(phase for report in reports for phase in report)
+    return {phase: sum(report.get(phase, 0.0) for report in reports) / len(reports) for phase in phases}

@@ -1,0 +1,42 @@
+"""What one variant's frames add up to between two looks at them, slow enough to be read."""
+
+from __future__ import annotations
+
+from server.lane import Frame, mean_ms
+
+
+class Meter:
+    """Collects one variant's frames.
+
+    Attributes:
+        latest: The newest frame.
+        ms: Mean milliseconds per step, by phase and "total", over the frames before the last `read`; None
+            until a step was measured.
+        inside: Most vertices inside an obstacle after any of those frames; None until a step was measured.
+    """
+
+    def __init__(self):
+        self.latest = Frame()
+        self.ms: dict[str, float] | None = None
+        self.inside: int | None = None
+        self._frames: list[Frame] = []
+
+    def add(self, frame: Frame) -> None:
+        """Take in a frame; one that was taken in before is left out."""
+        if frame is not self.latest:
+            self.latest = frame
+            self._frames.append(frame)
+
+    def read(self) -> Meter:
+        """Sum up what came since the last time.
+
+        Without a step since then the numbers stay as they were; of a variant that was stopped none is left.
+        """
+        stepped = [f for f in self._frames if f.steps and f.ms]
+        if stepped:
+            self.ms = mean_ms([frame.ms for frame in stepped if frame.ms])
+            self.inside = max(frame.report.penetrations for frame in stepped)
+        if self.latest.refused:
+            self.ms = self.inside = None
+        self._frames = []
+        return self

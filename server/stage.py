@@ -1,0 +1,210 @@
+"""The 3-D view: every variant's cloth and obstacles side by side, in one scene under one camera."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from server.framing import ASPECT, FIELD_OF_VIEW, Framing, is_floor
+from server.lane import Frame
+from server.palette import BLACK, GROUND, INK, STONE, VARIANTS, WHITE
+from server.shapes import capsule, obstacle_mesh, quaternion, standing
+from sim.mesh import Mesh
+from sim.scene import Plane, Scene
+
+LABEL, ALARM, MANY = 1.45, 1.7, 0.8
+"""Size of labels, as a multiple of viser's: to be read from the back row; smaller for more than two."""
+
+
+class Stage:
+    """Draws variants. Clears and redraws everything when another scene or number of variants is `set_up`."""
+
+    def __init__(self, server: viser.ViserServer):
+        self._server = server
+        self._places: list[Place] = []
+        # Each set-up draws under names of its own: a node that is removed and added again under its old name
+        # in one batch of messages keeps its old place in the browser.
+        self._take: viser.FrameHandle | None = None
+        self._takes = 0
+        self._framing: Framing | None = None
+        self.show_mesh_lines = False
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map("apartment", environment_intensity=0.55)
+        server.scene.configure_default_lights(enabled=True, cast_shadow=True)
+
+    def set_up(self, scene: Scene, mesh: Mesh, names: list[str]) -> None:
+        """Show the still of a scene: each variant's cloth where it starts."""
+        self._framing = Framing(scene, mesh, len(names))
+        with self._server.atomic():
+            if self._take is not None:
+                self._take.remove()
+            self._takes += 1
+            root = f"/take{self._takes}"
+            self._take = self._server.scene.add_frame(root, show_axes=False)
+            self._ground(root, self._framing.floor)
+            self._places = [
+                Place(self._server.scene, root, i, scene, mesh, self._framing) for i in range(len(names))
+            ]
+        self.show_lines(self.show_mesh_lines)
+        for i, name in enumerate(names):
+            self.label(i, name)
+        first = self._server.initial_camera
+        first.position, first.look_at = self._framing.camera()
+        first.fov = FIELD_OF_VIEW
+        for client in self._server.get_clients().values():
+            self.frame_view(client)
+
+    def _ground(self, root: str, floor: float) -> None:
+        self._server.scene.add_grid(
+            f"{root}/ground",
+            infinite_grid=True,
+            fade_distance=14.0,
+            fade_strength=2.0,
+            cell_color=GROUND.toward(BLACK, 0.03),
+            section_color=GROUND.toward(BLACK, 0.07),
+            cell_size=0.1,
+            section_size=0.5,
+            cell_thickness=0.6,
+            section_thickness=0.8,
+            shadow_opacity=0.4,
+            plane_color=GROUND,
+            plane_opacity=1.0,
+            position=(0.0, 0.0, floor - 2e-3),  # a hair below, or cloth lying on it would flicker
+        )
+
+    def frame_view(self, client: viser.ClientHandle, docks: float = 0.0) -> None:
+        """Put one client's camera where it sees all variants.
+
+        Args:
+            client: Whose camera.
+            docks: Width [CSS px] that docks will take off the view, where its width was measured without.
+        """
+        if self._framing is None or client.client_id not in self._server.get_clients():
+            return
+        camera = client.camera
+        width, height = (
+            float(camera.image_width),
+            float(camera.image_height),
+        )  # a client's word: may be anything
+        aspect = max(width - docks, width / 3) / height if 0 < height < np.inf else ASPECT
+        aspect = min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
+        position, target = self._framing.camera(aspect, FIELD_OF_VIEW)
+        with client.atomic():
+            camera.fov = FIELD_OF_VIEW
+            camera.position = position
+            camera.look_at = target  # after the position, which takes what is looked at along
+            camera.up_direction = (0.0, 0.0, 1.0)
+
+    def show(self, frames: list[Frame]) -> None:
+        """Show each variant's frame, all at once."""
+        with self._server.atomic():
+            for place, frame in zip(self._places, frames, strict=True):
+                place.show(frame)
+
+    def label(self, index: int, text: str, alarm: bool = False) -> None:
+        """Write above a variant's cloth; an alarm is written larger."""
+        self._places[index].write(text, alarm)
+
+    def show_lines(self, visible: bool) -> None:
+        """Draw the cloth's triangles as fine lines, or not."""
+        self.show_mesh_lines = visible
+        for place in self._places:
+            place.lines.visible = visible
+
+
+class Place:
+    """One variant's cloth, obstacles and label, offset from the scene's own coordinates."""
+
+    def __init__(
+        self, api: viser.SceneApi, take: str, index: int, scene: Scene, mesh: Mesh, framing: Framing
+    ):
+        root = f"{take}/variant{index}"
+        api.add_frame(root, show_axes=False, position=framing.offsets[index])
+        color = VARIANTS[index]
+        self._label_size = 1.0 if len(framing.offsets) <= 2 else MANY
+        length = float(np.linalg.norm(framing.bar))
+        vertices, triangles = capsule(framing.bar / 2, 0.012 * length)
+        api.add_mesh_simple(
+            f"{root}/bar",
+            vertices,
+            triangles,
+            color=color,
+            position=framing.label_place,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._label = api.add_label(
+            f"{root}/label",
+            "",
+            position=framing.label_place + np.array([0.0, 0.0, 0.05 * length]),
+            font_screen_scale=LABEL,
+            anchor="bottom-center",
+        )
+        # Two meshes, one per side, since viser's have one colour: the reverse is paler, as in printed cloth.
+        # Neither receives shadows: cloth this thin only shows the map's resolution, as stripes.
+        side = {"receive_shadow": False, "faces": mesh.triangles, "vertices": mesh.vertices}
+        self._face = api.add_mesh_simple(f"{root}/cloth", color=color, side="front", **side)
+        self._reverse = api.add_mesh_simple(
+            f"{root}/reverse",
+            color=color.toward(WHITE, 0.5).toward(STONE, 0.2),
+            side="back",
+            cast_shadow=False,
+            **side,
+        )
+        self.lines = api.add_mesh_simple(
+            f"{root}/lines",
+            color=color.toward(INK, 0.6),
+            wireframe=True,
+            opacity=0.35,
+            cast_shadow=False,
+            visible=False,
+            **side,
+        )
+        pins = mesh.vertices[mesh.pinned].astype(np.float32)
+        if len(pins):
+            api.add_point_cloud(
+                f"{root}/pins",
+                pins,
+                INK,
+                point_size=0.012,
+                point_shape="circle",
+                precision="float32",
+            )
+        self._moving = {}
+        for k, obstacle in enumerate(scene.obstacle):
+            if is_floor(obstacle):
+                continue
+            vertices, triangles = obstacle_mesh(obstacle)
+            solid = api.add_mesh_simple(
+                f"{root}/obstacle{k}",
+                vertices,
+                triangles,
+                color=STONE.toward(WHITE, 0.35),
+                side="double" if isinstance(obstacle, Plane) else "front",
+                position=obstacle.reference,
+                wxyz=quaternion(standing(obstacle)),
+                receive_shadow=False,
+            )
+            if obstacle.path:
+                self._moving[k] = solid
+
+    def show(self, frame: Frame) -> None:
+        """Move cloth and obstacles to where a frame has them."""
+        if frame.positions is None:
+            return
+        self._face.vertices = frame.positions
+        self._reverse.vertices = frame.positions
+        if self.lines.visible:
+            self.lines.vertices = frame.positions
+        for k, solid in self._moving.items():
+            position, rotation = frame.poses[k]
+            solid.position = position
+            solid.wxyz = quaternion(rotation)
+
+    def write(self, text: str, alarm: bool) -> None:
+        """Set the label, without touching what is the same already."""
+        scale = (ALARM if alarm else LABEL) * self._label_size
+        if self._label.font_screen_scale != scale:
+            self._label.font_screen_scale = scale
+        if self._label.text != text:
+            self._label.text = text

@@ -1,0 +1,59 @@
+"""The page's looks outside the 3-D view: style rules and the small pieces of HTML in the docks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from server.guard import handle_id
+from server.palette import GROUND, INK, WHITE, Rgb
+
+LEFT_WIDTH, RIGHT_WIDTH = 300, 300
+"""Of the docks [CSS px]."""
+
+UNKNOWN = "–"
+"""Stands for a number that has not been measured."""
+
+
+def page(control_rules: str, *rows: Any) -> str:
+    """The style element of the whole page; `rows` are inputs that take the full width, without label."""
+    bare = "".join(f'div:has(>p>label[for="{handle_id(row)}"]){{display:none}}' for row in rows)
+    sky = GROUND.toward(WHITE, 0.65).css
+    return (
+        "<style>"
+        f"canvas[data-engine]{{background:linear-gradient({sky},{GROUND.css})}}"
+        f".muslin{{padding:0 .75em .4em;color:{INK.css};line-height:1.35;font-size:.875em}}"
+        ".muslin h1{font-size:1.1em;margin:.1em 0 .15em;font-weight:650}"
+        ".muslin p{margin:0 0 .3em}.muslin ul{margin:.1em 0 .2em;padding-left:1.1em}"
+        ".muslin table{width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums}"
+        ".muslin td,.muslin th{text-align:right;padding:.1em .2em;font-weight:400}"
+        ".muslin th{color:#6f675f;font-size:.88em}"
+        ".muslin td:first-child,.muslin th:first-child{text-align:left}"
+        ".muslin.key{font-size:.74em;color:#6f675f}.muslin.key span{display:inline-block;margin-right:.8em}"
+        ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
+        ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
+        ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
+        f"{bare}{control_rules}</style>"
+    )
+
+
+def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
+    """What a scene shows, what to look for, and what to try."""
+    items = "".join(f"<li>{escape(item)}</li>" for item in tries)
+    tried = f'<ul class="small">{items}</ul>' if items else ""
+    return f'<div class="muslin"><p><b>{escape(title)}.</b> {escape(look_for)}</p>{tried}</div>'
+
+
+def status(playing: bool, time: float | None, factor: float | None, note: str) -> str:
+    """How time runs; `note` is HTML."""
+    clock = UNKNOWN if time is None else f"{time:.2f} s"
+    rate = f"{factor:.2f} × real time" if factor is not None else ("measuring" if playing else "paused")
+    rate = rate if time is not None else UNKNOWN
+    line = f'<p style="margin:0" class="dim">time <b>{clock}</b> &nbsp;·&nbsp; {rate}</p>'
+    return f'<div class="muslin">{line}{f"<p><b>{note}</b></p>" if note else ""}</div>'
+
+
+def chip(color: Rgb) -> str:
+    """A small square of a colour."""
+    return f'<i class="chip" style="background:{color.css}"></i>'
