@@ -169,7 +169,7 @@ def count_vertices(scene: sim.Scene) -> int | None:
         elif isinstance(cloth, Arrays):
             total += len(cloth.vertices)
         else:
-            from sim.meshfile import vertex_count
+            from sim.meshclaims import vertex_count
 
             claimed = vertex_count(cloth.file, scene.folder)
             if claimed is None:

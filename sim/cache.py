@@ -1,8 +1,8 @@
 """Where compiled kernels are kept.
 
-Numba notices that a kernel's own file has changed, but not the file of a helper that it calls. So each state of the
-core's sources has a cache folder of its own, in the user's cache directory, which also serves installations that
-cannot be written to. NUMBA_CACHE_DIR, where set, is left alone.
+Numba notices that a kernel's own file has changed, but not the file of a helper that it calls. So each
+state of the core's sources has a cache folder of its own, in the user's cache directory, which also serves
+installations that cannot be written to. NUMBA_CACHE_DIR, where set, is left alone.
 """
 
 from __future__ import annotations

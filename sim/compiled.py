@@ -1,7 +1,8 @@
 """How kernels are compiled, and small vectors for them.
 
-`kernel` is for what is called from Python: it releases the GIL and is cached on disk. `inner` is for helpers. Kernels take arrays or NamedTuples of arrays and have no globals and no I/O; float64
-throughout, no fast-math, so that a result does not depend on how the compiler reorders a sum.
+`kernel` is for what is called from Python: it releases the GIL and is cached on disk. `inner` is for
+helpers. Kernels take arrays or NamedTuples of arrays and have no globals and no I/O; float64 throughout, no
+fast-math, so that a result does not depend on how the compiler reorders a sum.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ chains that have edges only. NumPy alone, so that a scene can be checked and sho
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -81,10 +82,12 @@ def vertex_masses(mesh: Mesh, mass: str, density: float) -> np.ndarray:
 
     Args:
         mesh: The cloth.
-        mass: "area", a third of each triangle to its corners, or "constant", the same to every vertex of a piece.
+        mass: "area", a third of each triangle to its corners, or "constant", the same to every vertex of a
+            piece.
         density: Mass per area [kg/m²] where a piece has none of its own.
 
-    Edges outside any triangle weigh like a ribbon; a vertex with no triangle and no edge gets its piece's mean.
+    Edges outside any triangle weigh like a ribbon; a vertex with no triangle and no edge gets its piece's
+    mean.
     """
     density_of_piece = np.where(np.isnan(mesh.density), density, mesh.density)
     share = np.zeros(len(mesh.vertices))
@@ -173,7 +176,7 @@ def _equilateral(cloth: Equilateral) -> tuple[np.ndarray, np.ndarray, dict[str, 
         x = between if j % 2 else xs
         rows.append(np.arange(len(x)) + sum(map(len, points)))
         points.append(np.stack([x, np.full(len(x), y), np.zeros(len(x))], axis=1))
-    for j, (low, high) in enumerate(zip(rows, rows[1:], strict=False)):
+    for j, (low, high) in enumerate(pairwise(rows)):
         few, many = (high, low) if j % 2 else (low, high)
         flat_few = np.stack([few[:-1], few[1:], many[1:-1]], axis=1)
         flat_many = np.stack([many[1:], many[:-1], few], axis=1)

@@ -1,7 +1,7 @@
 """A running simulation: it owns the state, advances it one step at a time, and reports each step.
 
-A step is a transaction. It ends in a finite state and a report, or raises StepError and leaves the state as it
-was. The same scene, settings and seed give the same bits, on any number of threads.
+A step is a transaction. It ends in a finite state and a report, or raises StepError and leaves the state as
+it was. The same scene, settings and seed give the same bits, on any number of threads.
 """
 
 from __future__ import annotations
@@ -291,7 +291,7 @@ class Simulation:
     def _respond(
         self, before: Poses, after: Poses, springs: GapSprings, contacts: Contacts, solution: Solution
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Impulses and friction after the solve; returns normal impulses [N s] and slip [m/s], (n, o) each."""
+        """Impulses and friction after the solve; returns normal impulses [N s] and slip [m/s], (n, o)."""
         s, h = self._settings, self._settings.dt
         pressed, slip, drag = np.zeros((3, *self._pressed.shape))
         response = RESPONSES.get(s.contact)

@@ -1,7 +1,8 @@
 """Compiling before the first step, with honest progress.
 
-Kernels compile when they are first called, or are read from the cache on disk. A step of a handful of vertices
-calls them all, in the time that the first step of the scene would have taken longer, and can be watched.
+Kernels compile when they are first called, or are read from the cache on disk. A step of a handful of
+vertices calls them all, in the time that the first step of the scene would have taken longer, and can be
+watched.
 """
 
 from __future__ import annotations

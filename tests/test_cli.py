@@ -67,8 +67,8 @@ def test_quick_commands_import_nothing_heavy(arguments):
     assert [name for name in HEAVY if name in modules] == []
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]], ids=" ".join)
-def test_help_imports_no_numpy(arguments):
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["scenes"]], ids=" ".join)
+def test_commands_that_need_no_mesh_import_no_numpy(arguments):
     assert "numpy" not in imported(*arguments)
 
 

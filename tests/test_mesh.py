@@ -46,7 +46,11 @@ def test_every_hinge_is_an_inner_edge_with_its_two_triangles_in_order():
 
 
 def test_edges_are_each_listed_once_and_cover_triangles_and_explicit_edges():
-    patch = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], "triangles": [[0, 1, 2]], "edges": [[1, 0], [3, 1]]}
+    patch = {
+        "vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]],
+        "triangles": [[0, 1, 2]],
+        "edges": [[1, 0], [3, 1]],
+    }
     mesh = mesh_of(patch)
     assert sorted(map(tuple, mesh.edges.tolist())) == [(0, 1), (0, 2), (1, 2), (1, 3)]
 
@@ -89,7 +93,11 @@ def test_constant_mass_has_the_same_total():
 
 
 def test_no_vertex_is_without_mass():
-    lonely = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5], [3, 0, 0]], "triangles": [[0, 1, 2]], "edges": [[1, 4]]}
+    lonely = {
+        "vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5], [3, 0, 0]],
+        "triangles": [[0, 1, 2]],
+        "edges": [[1, 4]],
+    }
     masses = vertex_masses(mesh_of(lonely), "area", 0.2)
     assert (masses > 0).all()
     assert masses[4] == pytest.approx(0.2 * RIBBON_WIDTH * 2.0 / 2, rel=1e-12)
@@ -117,8 +125,14 @@ def test_edges_of_three_triangles_do_not_bend_and_are_reported():
     [
         ({"vertices": [[0, 0]]}, "cloth[0].vertices: expected an array of shape (n, 3), got (1, 2)"),
         ({"vertices": [[0, 0, float("inf")]]}, "cloth[0].vertices[0]: expected finite numbers"),
-        ({"vertices": [[0, 0, 0]] * 3, "triangles": [[0, 1, 3]]}, "cloth[0].triangles[0]: expected vertex indices from 0 to 2"),
-        ({"vertices": [[0, 0, 0]] * 3, "triangles": [[0, 1, 1]]}, "cloth[0].triangles[0]: expected distinct vertices"),
+        (
+            {"vertices": [[0, 0, 0]] * 3, "triangles": [[0, 1, 3]]},
+            "cloth[0].triangles[0]: expected vertex indices from 0 to 2",
+        ),
+        (
+            {"vertices": [[0, 0, 0]] * 3, "triangles": [[0, 1, 1]]},
+            "cloth[0].triangles[0]: expected distinct vertices",
+        ),
         ({"vertices": [[0, 0, 0]] * 3, "edges": [[0, -1]]}, "cloth[0].edges[0]: expected vertex indices"),
         ({"vertices": [[0, 0, 0]], "masses": [0.0]}, "cloth[0].masses[0]: expected > 0 kg, got 0"),
         ({"vertices": [[0, 0, 0]], "masses": [1.0, 2.0]}, "cloth[0].masses: expected 1 masses, got 2"),

@@ -7,7 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sim.mesh import build_mesh
-from sim.meshfile import MAX_BYTES, SUFFIXES, declared_counts, read_mesh, vertex_count
+from sim.meshclaims import MAX_BYTES, SUFFIXES, declared_counts, vertex_count
+from sim.meshfile import read_mesh
 from sim.scene import SceneError, load_scene
 
 FLOAT32 = 1e-7  # .ply and .stl hold single precision, and .obj eight digits

@@ -1,14 +1,15 @@
 """The linear system and the implicit step against obvious twins and closed forms."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sim
-from sim.contact.gap import gap_springs
 from sim.contact.detect import NO_CONTACTS
+from sim.contact.gap import gap_springs
 from sim.solve.cg import CONVERGED, conjugate_gradients
 from sim.solve.multiscale import build_preconditioner, refresh
 from tests.worlds import chain, grid, irregular, scene
@@ -74,16 +75,22 @@ def test_matrix_is_symmetric_and_positive_definite_also_in_compression(bend):
 
 @pytest.mark.parametrize("name", ["force", "stiffness"])
 def test_forces_are_the_slope_of_the_energy(name):
-    """Central differences of the energy (truncation h² ~ 1e-12, cancellation 1e-16/1e-6) on a crumpled mesh."""
+    """Central differences of the energy: truncation h² ~ 1e-12, cancellation 1e-16/1e-6."""
     for bend in ("cross", "angle"):
-        world = sim.Simulation(scene(irregular(3), bend=bend, gravity=[0.1, 0.2, -9.81], rest_angle=0.4, bending=1e-2))
+        world = sim.Simulation(
+            scene(irregular(3), bend=bend, gravity=[0.1, 0.2, -9.81], rest_angle=0.4, bending=1e-2)
+        )
         forces, step = world.forces(), 1e-6
         rng = np.random.default_rng(0)
         for _ in range(10):
             direction = rng.standard_normal(forces.shape)
-            values = [sum(world.model.energies(world.positions + s * step * direction).values()) for s in (1, -1)]
+            values = [
+                sum(world.model.energies(world.positions + s * step * direction).values()) for s in (1, -1)
+            ]
             slope = (values[0] - values[1]) / (2 * step)
-            assert slope == pytest.approx(-np.sum(forces * direction), rel=1e-6, abs=1e-8 * np.abs(forces).sum())
+            assert slope == pytest.approx(
+                -np.sum(forces * direction), rel=1e-6, abs=1e-8 * np.abs(forces).sum()
+            )
 
 
 def test_conjugate_gradients_find_the_dense_solution_with_fixed_vertices():
@@ -134,7 +141,9 @@ def test_damped_oscillator_is_backward_eulers_and_converges_to_the_closed_form(c
     cloth["rest_vertices"] = [[0, 0, 0], [rest, 0, 0]]
 
     def run(h, end):
-        world = sim.Simulation(scene(cloth, gamma=case["gamma"], stretch=case["K"] * rest, dt=h, tolerance=1e-12))
+        world = sim.Simulation(
+            scene(cloth, gamma=case["gamma"], stretch=case["K"] * rest, dt=h, tolerance=1e-12)
+        )
         for _ in range(round(end / h)):
             world.step()
         return world.positions[1, 0] - rest
@@ -143,8 +152,10 @@ def test_damped_oscillator_is_backward_eulers_and_converges_to_the_closed_form(c
         assert run(case["be_h"], end) == pytest.approx(expected, abs=1e-8)
     end, exact = case["exact"][1]
     errors = [abs(run(h, end) - exact) for h in (0.0025, 0.00125, 0.000625)]
-    for coarse, fine in zip(errors, errors[1:], strict=False):
-        assert np.log2(coarse / fine) == pytest.approx(1.0, abs=0.1)  # first order, and its next term at these steps
+    for coarse, fine in pairwise(errors):
+        assert np.log2(coarse / fine) == pytest.approx(
+            1.0, abs=0.1
+        )  # first order, and its next term at these steps
 
 
 def test_free_fall_is_exact_and_damping_does_not_slow_it():
@@ -153,7 +164,9 @@ def test_free_fall_is_exact_and_damping_does_not_slow_it():
     for _ in range(30):
         world.step()
     fallen = -9.81 * h * h * 30 * 31 / 2  # backward Euler's sum of h v over 30 steps
-    np.testing.assert_allclose(world.positions - start, np.broadcast_to([0, 0, fallen], start.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        world.positions - start, np.broadcast_to([0, 0, fallen], start.shape), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 20.0])
@@ -184,8 +197,12 @@ def test_momentum_is_kept_where_nothing_acts_from_outside(bend, newton):
 
 def test_converged_newton_solves_the_backward_euler_equation():
     cloth = irregular(2, noise=0.003)
-    cloth["vertices"] = (1.2 * np.array(cloth["vertices"])).tolist()  # in tension, where no Hessian is clamped
-    world = sim.Simulation(scene(cloth, gamma=0.0, newton=100, tolerance=1e-10, gravity=[0, 0, -9.81], bend="angle"))
+    cloth["vertices"] = (
+        1.2 * np.array(cloth["vertices"])
+    ).tolist()  # in tension, where no Hessian is clamped
+    world = sim.Simulation(
+        scene(cloth, gamma=0.0, newton=100, tolerance=1e-10, gravity=[0, 0, -9.81], bend="angle")
+    )
     before, h = world.velocities.copy(), world.settings.dt
     report = world.step()
     assert report.converged

@@ -30,7 +30,9 @@ def elements_at(kind, positions, stiffness=1.0, rest=0.0):
 
 def force(e, velocities=None):
     """Force (k, 3) on each node of the first element."""
-    set_tension(e, np.zeros((e.nodes.shape[1], 3)) if velocities is None else np.asarray(velocities, dtype=float))
+    set_tension(
+        e, np.zeros((e.nodes.shape[1], 3)) if velocities is None else np.asarray(velocities, dtype=float)
+    )
     return -e.tension[0] * e.gradient[0]
 
 
@@ -130,7 +132,11 @@ def test_gradient_is_the_derivative_of_the_coordinate(name):
                     moved = hinge.copy()
                     moved[vertex, r] += side * step
                     values.append(measure_each(kind, moved[None])[0][0])
-                slope = (values[0] - values[1] + np.pi) % (2 * np.pi) - np.pi if name == "angle" else values[0] - values[1]
+                slope = (
+                    (values[0] - values[1] + np.pi) % (2 * np.pi) - np.pi
+                    if name == "angle"
+                    else values[0] - values[1]
+                )
                 error = abs(slope / (2 * step) - gradient[0, a, r]) / np.abs(gradient[0]).max()
                 assert error < DIFFERENCES, (name, hinge, a, r)
         assert np.isfinite(q).all()
@@ -163,7 +169,9 @@ def test_the_angle_is_unwrapped_past_a_half_turn():
         memory = e.new_memory[0, 0]
 
 
-@pytest.mark.parametrize("third", [[0.5, 0, 0], [0, 0, 0], [0.5, 1e-7, 0]], ids=["flat", "repeated", "needle"])
+@pytest.mark.parametrize(
+    "third", [[0.5, 0, 0], [0, 0, 0], [0.5, 1e-7, 0]], ids=["flat", "repeated", "needle"]
+)
 def test_a_collapsed_triangle_gives_no_force_and_no_nan(third):
     x = np.array([[0.0, 0, 0], [1, 0, 0], third, [0.5, -1, 0]])
     q, gradient = measure_each(BENDING["angle"], x[None])

@@ -1,8 +1,9 @@
 """Which vertices touch which obstacle in a step, and the plane that the obstacle shows each of them.
 
-Static detection looks at the start of the step only. Continuous detection follows each vertex, in the obstacle's
-own frame, from its start to where it is predicted to go. The distance to a convex shape is a convex function along
-a line, so Newton's method from the start approaches the first contact and never passes it.
+Static detection looks at the start of the step only. Continuous detection follows each vertex, in the
+obstacle's own frame, from its start to where it is predicted to go. The distance to a convex shape is a
+convex function along a line, so Newton's method from the start approaches the first contact and never
+passes it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ MOST_ADVANCES = 50
 
 
 SAME_SIDE = 0.5
-"""Least cosine between the normals where a vertex touches and where it is going, for the latter to be used."""
+"""Least cosine of the normals where a vertex touches and where it goes, for the latter to be used."""
 
 
 class Contacts(NamedTuple):
@@ -33,7 +34,8 @@ class Contacts(NamedTuple):
         obstacle: (c,).
         start: (c,) signed distance at the start of the step [m].
         normal: (c, 3) away from the obstacle, at the end of the step.
-        offset: (c,) n·x − offset is the gap at the end of the step, and never more than the signed distance [m].
+        offset: (c,) n·x − offset is the gap at the end of the step, and never more than the signed distance
+            [m].
         speed: (c, 3) velocity of the obstacle's surface at the contact [m/s].
     """
 

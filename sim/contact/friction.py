@@ -1,8 +1,9 @@
 """Coulomb friction, |Jt| ≤ μ Jn.
 
-The implicit solve must feel friction, or cloth would never hang on what holds it. It feels the drag d = μ λ / slip with the normal force λ and the slip that are expected; where that turns out to hold
-a vertex by more than the cone allows, both are estimated anew and the solve goes on from where it was. A drag
-never adds energy, whatever its size. What the cone still allows after the solve slows each vertex by itself.
+The implicit solve must feel friction, or cloth would never hang on what holds it. It feels the drag d = μ λ
+/ slip with the normal force λ and the slip that are expected; where that turns out to hold a vertex by more
+than the cone allows, both are estimated anew and the solve goes on from where it was. A drag never adds
+energy, whatever its size. What the cone still allows after the solve slows each vertex by itself.
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ EXCESS = 1.001
 
 @kernel
 def add_drag(springs, drag, velocities, h, matrix, forces):
-    """Add the force −d (I − nnᵀ)(v − speed) and its part h d (I − nnᵀ) of the matrix, with d from `drag` (c,)."""
+    """Add the force −d (I − nnᵀ)(v − speed), d from `drag` (c,), and its part h d (I − nnᵀ) of the matrix."""
     for c in range(len(drag)):
         i = springs.elements.nodes[c, 0]
         n = corner(springs.elements.gradient, c, 0)
@@ -32,10 +33,10 @@ def add_drag(springs, drag, velocities, h, matrix, forces):
 
 @kernel
 def expected_drag(springs, pieces, piece_masses, velocities, pushes, friction, h, drag):
-    """Fill the `drag` to expect after a solve that ended at `velocities`; return the worst excess over a cone.
+    """Fill the `drag` to expect after a solve that ended at `velocities`; return the worst excess.
 
-    The slip expected of a vertex is that of the solve, or more where its whole piece is about to break away: the
-    piece then gains what friction held it by beyond the cones, over its mass.
+    The slip expected of a vertex is that of the solve, or more where its whole piece is about to break
+    away: the piece then gains what friction held it by beyond the cones, over its mass.
     """
     worst = 0.0
     gain = np.zeros((len(piece_masses), 3))
@@ -72,7 +73,7 @@ def across(n, a):
 
 @kernel
 def rub(contacts, friction, masses, h, positions, velocities, impulses, drag):
-    """Slow each sliding vertex by what the cone of the normal `impulses` (c,) [N s] leaves over the solve's `drag`."""
+    """Slow each sliding vertex by what the cone of `impulses` (c,) [N s] leaves over the solve's `drag`."""
     for c in range(len(contacts.vertex)):
         i = contacts.vertex[c]
         slip = across(row(contacts.normal, c), sub(row(velocities, i), row(contacts.speed, c)))

@@ -1,7 +1,8 @@
 """The contact coordinate: q is the gap between a vertex and the plane that an obstacle shows it.
 
-A contact is an element like a spring, q(x) = n·x − offset with gradient n, so that force, damping, matrix and
-energy are those of `sim.elements`. Its memory holds the plane: n, then the offset, both at the end of the step.
+A contact is an element like a spring, q(x) = n·x − offset with gradient n, so that force, damping, matrix
+and energy are those of `sim.elements`. Its memory holds the plane: n, then the offset, both at the end of
+the step.
 """
 
 from __future__ import annotations
@@ -75,8 +76,8 @@ class GapSprings(NamedTuple):
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.
 
-        Returns whether some vertex is held by more than its cone allows, with the model's matrix and `forces` changed to
-        the new drag, so that the solve should go on.
+        Returns whether some vertex is held by more than its cone allows, with the model's matrix and
+        `forces` changed to the new drag, so that the solve should go on.
         """
         if not len(self.drag):
             return False

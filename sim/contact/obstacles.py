@@ -1,7 +1,8 @@
 """Obstacles: solid shapes that stand still or move rigidly on keyed paths.
 
-Each shape is given by its exact signed distance in its own frame, negative inside, and the direction in which it
-grows. All of them are convex, so the plane through a nearest point leaves the whole obstacle on one side.
+Each shape is given by its exact signed distance in its own frame, negative inside, and the direction in
+which it grows. All of them are convex, so the plane through a nearest point leaves the whole obstacle on
+one side.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Shapes(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where the obstacles are: position (o, 3) [m] of each reference point, and rotation (o, 3, 3) to the world."""
+    """Where obstacles are: position (o, 3) [m] of the reference point, rotation (o, 3, 3) to the world."""
 
     position: np.ndarray
     rotation: np.ndarray

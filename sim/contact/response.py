@@ -1,11 +1,13 @@
 """How cloth answers the contacts that detection found.
 
-Every response first makes contacts part of the implicit solve: a gap spring with K = s m / h², so that one step
-takes back s / (1 + s) of an overlap. What sets them apart:
+Every response first makes contacts part of the implicit solve: a gap spring with K = s m / h², so that one
+step takes back s / (1 + s) of an overlap. What sets them apart:
 
-- penalty: damped while the vertex approaches, and nothing more. Fast or heavy cloth sinks in, and with static detection tunnels; no guarantee.
-- impulse: stiffer springs that recover only a tenth of an overlap per step (Bridson, Fedkiw and Anderson 2002),
-  then inelastic impulses that leave no free vertex on the wrong side of a plane that detection showed it.
+- penalty: damped while the vertex approaches, and nothing more. Fast or heavy cloth sinks in, and with
+  static detection tunnels; no guarantee.
+- impulse: stiffer springs that recover only a tenth of an overlap per step (Bridson, Fedkiw and Anderson
+  2002), then inelastic impulses that leave no free vertex on the wrong side of a plane that detection
+  showed it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Preconditioned conjugate gradients (Hestenes and Stiefel 1952).
 
-Fixed vertices are eliminated: their entries of every direction are zero. Sums are taken over a fixed number of
-chunks, so the result is the same to the bit for any number of threads.
+Fixed vertices are eliminated: their entries of every direction are zero. Sums are taken over a fixed number
+of chunks, so the result is the same to the bit for any number of threads.
 
 The solver stops on the error, not on the residual. After d more iterations the drop
 Σ_{j=k}^{k+d−1} α_j r_jᵀ P⁻¹ r_j is a lower bound of the squared error ‖x_k − x*‖²_A that tightens quickly
@@ -58,7 +58,7 @@ def multiply(matrix, free, x, y, partial):
 
 @inner
 def step_along(alpha, p, ap, x, r):
-    """x += α p and r −= α A p."""
+    """X += α p and r −= α A p."""
     for i in range(len(x)):
         for c in range(3):
             x[i, c] += alpha * p[i, c]

@@ -83,8 +83,9 @@ def backward_euler(
     free = model.free
     velocities = (start - x_hat) / h
     guess, shortcut = v_hat - velocities, np.where(free[:, None], h * np.asarray(settings.gravity), 0.0)
-    iterations, converged = 0, False
-    for newton in range(1, settings.newton + 1):
+    iterations, newton, converged = 0, 0, False
+    while newton < settings.newton and not converged:
+        newton += 1
         forces = model.linearise(x_hat + h * velocities, velocities, contacts, h)
         linear = _solve(model, settings, forces, v_hat - velocities, guess, shortcut, h)
         iterations += linear.iterations
@@ -100,7 +101,7 @@ def backward_euler(
         velocities = velocities + step
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
-        if converged or not step.any():
+        if not step.any():
             break
     return Solution(x_hat + h * velocities, velocities, iterations, newton, linear.error, converged)
 

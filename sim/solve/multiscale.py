@@ -2,12 +2,15 @@
 
     P⁻¹ = D⁻¹ + H D_H⁻¹ Hᵀ,   D_H = the diagonal blocks of Hᵀ A H
 
-The columns of H are tensor-product hat functions on lattices of 4, 16, 64 … edge lengths in the rest shape of each
-piece: they reproduce motions that are linear in the rest shape, which is what Jacobi alone is slow to find. Only
-diagonal blocks are needed, no coarse solve (Bramble, Pasciak and Xu 1990; Zhang 1992 for the diagonal scaling), so
-the number of iterations hardly grows with the mesh. It works on any mesh, as the lattices live in space.
+The columns of H are tensor-product hat functions on lattices of 4, 16, 64 … edge lengths in the rest shape
+of each
+piece: they reproduce motions that are linear in the rest shape, which is what Jacobi alone is slow to find.
+Only diagonal blocks are needed, no coarse solve (Bramble, Pasciak and Xu 1990; Zhang 1992 for the diagonal
+scaling), so the number of iterations hardly grows with the mesh. It works on any mesh, as the lattices live
+in space.
 
-H depends on the rest shape and on which vertices are free: it is built once. D_H is gathered anew for each matrix.
+H depends on the rest shape and on which vertices are free: it is built once. D_H is gathered anew for each
+matrix.
 """
 
 from __future__ import annotations
@@ -42,7 +45,8 @@ class Preconditioner(NamedTuple):
         vertex: The vertices at which a hat is not zero.
         vertex_weight: And its values there.
         of_block: (m + 1,) where each hat's blocks of A start in `block` and `block_weight`.
-        block: Index in Matrix.block of a block above the diagonal, or −1 − i for the diagonal block of vertex i.
+        block: Index in Matrix.block of a block above the diagonal, or −1 − i for the diagonal block of
+            vertex i.
         block_weight: Product of the hat's values at the block's two vertices.
         shares: (CHUNKS + 1,) hats split so that every part has about as many vertices.
         coarse: (m, 3) room for Hᵀ r.
@@ -211,7 +215,9 @@ def _to_hats(preconditioner, r, coarse):
                 v += s * r[i, 1]
                 w += s * r[i, 2]
             for c in range(3):
-                coarse[m, c] = h.hat_inverse[m, c, 0] * u + h.hat_inverse[m, c, 1] * v + h.hat_inverse[m, c, 2] * w
+                coarse[m, c] = (
+                    h.hat_inverse[m, c, 0] * u + h.hat_inverse[m, c, 1] * v + h.hat_inverse[m, c, 2] * w
+                )
 
 
 @parallel_kernel

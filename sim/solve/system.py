@@ -1,8 +1,8 @@
 """The linear system A = M + h D + h² H as 3 × 3 blocks, assembled by gathering.
 
-Which vertices are coupled depends on the stencils only, so it is worked out once per set of spring kinds. Each
-block of A then *gathers* what the elements add to it, in a fixed order: no two threads write the same number,
-and the sum is the same to the bit for any number of threads.
+Which vertices are coupled depends on the stencils only, so it is worked out once per set of spring kinds.
+Each block of A then *gathers* what the elements add to it, in a fixed order: no two threads write the same
+number, and the sum is the same to the bit for any number of threads.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ class Gather(NamedTuple):
     """What the elements of one kind add, and where.
 
     Attributes:
-        first: (n + p + 1,) where each target's contributions start: first the n vertices, then the p coupled pairs.
+        first: (n + p + 1,) where each target's contributions start: first the n vertices, then the p
+            coupled pairs.
         element: (c,) element of each contribution.
         a: (c,) its node that stands for the target's row.
         b: (c,) its node that stands for the target's column.
@@ -72,7 +73,7 @@ def build_system(n: int, stencils: list[np.ndarray]) -> tuple[Matrix, list[Gathe
 
 
 def _contributions(nodes: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
-    """(key, element, a, b) of every block that the elements touch: key i for vertex i, n + i n + j for i < j."""
+    """(key, element, a, b) of every block that elements touch: key i for vertex i, n + i n + j for i < j."""
     e, k = nodes.shape
     found = []
     for a in range(k):

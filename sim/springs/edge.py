@@ -1,8 +1,8 @@
 """Springs between two vertices: q is their distance.
 
-Along the sides of triangles these are edge springs (Provot 1995; Choi and Ko 2002 for the Hessian); between the
-two vertices opposite a hinge they are cross-connect springs, which have no linear bending stiffness about a
-flat rest shape, cannot tell a fold up from a fold down, and stiffen the cloth in its plane as well.
+Along the sides of triangles these are edge springs (Provot 1995; Choi and Ko 2002 for the Hessian); between
+the two vertices opposite a hinge they are cross-connect springs, which have no linear bending stiffness
+about a flat rest shape, cannot tell a fold up from a fold down, and stiffen the cloth in its plane as well.
 """
 
 from sim.compiled import kernel, norm, put, put_corner, row, scale, sub
