@@ -54,11 +54,13 @@ class Elements(NamedTuple):
 def make_elements(nodes: np.ndarray, memory: int) -> Elements:
     """Elements on the (e, k) `nodes`, all quantities zero."""
     e, k = nodes.shape
-    numbers = {name: np.zeros(e) for name in Elements._fields if name not in ("nodes", "gradient")}
-    numbers["memory"], numbers["new_memory"] = np.zeros((e, memory)), np.zeros((e, memory))
-    return Elements(
-        nodes=np.ascontiguousarray(nodes, dtype=np.int32), gradient=np.zeros((e, k, 3)), **numbers
-    )
+    arrays: dict[str, np.ndarray]
+    arrays = {name: np.zeros(e) for name in Elements._fields}
+    arrays["nodes"] = np.ascontiguousarray(nodes, dtype=np.int32)
+    arrays["gradient"] = np.zeros((e, k, 3))
+    arrays["memory"] = np.zeros((e, memory))
+    arrays["new_memory"] = np.zeros((e, memory))
+    return Elements(**arrays)
 
 
 @kernel

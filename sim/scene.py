@@ -222,7 +222,7 @@ def find_scene(name: str | Path) -> Path:
     return path
 
 
-def load_scene(source: str | Path | dict[str, Any]) -> Scene:
+def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
     """Read and check a scene.
 
     Args:

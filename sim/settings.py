@@ -110,8 +110,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         number(
             "N·m",
             "Cloth",
-            "Bending stiffness c, one number for all kinds: they agree for small folds. Cross springs have no "
-            "linear stiffness when flat, so they are matched at a fold of 60°.",
+            "Bending stiffness c, one number for all kinds: they agree for small folds. Cross springs have "
+            "no linear stiffness when flat, so they are matched at a fold of 60°.",
             ge=0.0,
             le=1e4,
             scale="log",
@@ -125,7 +125,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Literal["area", "constant"],
         choice(
             "Cloth",
-            "How the mass is shared out: a third of each triangle to its corners, or the same to every vertex.",
+            "How mass is shared out: a third of each triangle to its corners, or the same to every vertex.",
             label="mass lumping",
             cost="the same",
         ),

@@ -19,13 +19,16 @@ from sim.contact.detect import NO_CONTACTS, Contacts, deepest, detect
 from sim.contact.friction import rub
 from sim.contact.gap import GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
-from sim.contact.response import RESPONSES, push_out, targets
+from sim.contact.response import RESPONSES, lacks, push_out, targets
 from sim.mesh import build_mesh
 from sim.model import Model
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError, backward_euler
 from sim.threads import processor_threads
+
+MOST_SOLVES = 3
+"""Solves of one step at most: one more where a solve led vertices into contacts that it did not feel."""
 
 FASTEST = 1e6
 """A step that ends with a vertex faster than this [m/s] is refused: it has blown up."""
@@ -210,9 +213,16 @@ class Simulation:
 
     def snapshot(self) -> Snapshot:
         """The present state, for `restore`."""
-        state = self._positions, self._velocities, self._pressed, self._slip
-        arrays = (array.copy() for array in state)
-        return Snapshot(self._settings, self._time, *arrays, self.model.memory(), self._injected)
+        return Snapshot(
+            settings=self._settings,
+            time=self._time,
+            positions=self._positions.copy(),
+            velocities=self._velocities.copy(),
+            pressed=self._pressed.copy(),
+            slip=self._slip.copy(),
+            memory=self.model.memory(),
+            injected=self._injected,
+        )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of this scene; from there the same bits follow."""
@@ -245,27 +255,40 @@ class Simulation:
 
     def _advance(self, report: StepReport) -> tuple[Solution, Poses, tuple[np.ndarray, np.ndarray]]:
         """Where the state goes in one step, with the obstacles' poses and what `_respond` returns."""
-        s, h = self._settings, self._settings.dt
+        h = self._settings.dt
         before, after = self.obstacles.poses(self._time), self.obstacles.poses(self._time + h)
-        with report.phase("detect"):
-            fall = np.where(self.model.free[:, None], h * np.asarray(s.gravity), 0.0)
-            predicted = self._positions + h * (self._velocities + fall)
-            contacts = self._detect(before, after, predicted)
-            springs = self._gap_springs(contacts, predicted)
-        with report.phase("solve"):
-            solution = self._solve(springs)
+        springs, solution, contacts = self._solve_with_contact(before, after, report)
         with report.phase("respond"):
-            touch = self._respond(before, after, springs, contacts, solution)
-        if not (
-            np.isfinite(solution.positions).all() and np.abs(solution.velocities).max(initial=0.0) < FASTEST
-        ):
+            touch = self._respond(springs, contacts, solution)
+        calm = np.isfinite(solution.positions) & (np.abs(solution.velocities) < FASTEST)
+        if not calm.all():
             raise StepError("positions or velocities are beyond all bounds", "respond", self._suspect())
         report.contacts = len(contacts.vertex)
-        report.iterations, report.newton = solution.iterations, solution.newton
-        report.residual, report.converged = solution.residual, solution.converged
+        report.newton, report.converged = solution.newton, solution.converged
+        report.residual = solution.residual
         with report.phase("report"):
             self.model.remember(solution.positions)
         return solution, after, touch
+
+    def _solve_with_contact(
+        self, before: Poses, after: Poses, report: StepReport
+    ) -> tuple[GapSprings, Solution, Contacts]:
+        """Solve with the contacts on the way that vertices would take by themselves, then on their real way."""
+        h, free = self._settings.dt, self.model.free[:, None]
+        end = self._positions + h * (self._velocities + h * np.asarray(self._settings.gravity) * free)
+        solves = 0
+        while True:
+            with report.phase("detect"):
+                springs = self._gap_springs(self._detect(before, after, end), end)
+            with report.phase("solve"):
+                solution = self._solve(springs)
+            with report.phase("detect"):
+                contacts = self._detect(before, after, solution.positions)
+                late = self._late(contacts, springs, solution.positions)
+            solves, report.iterations = solves + 1, report.iterations + solution.iterations
+            if not len(late) or solves == MOST_SOLVES:
+                return springs, solution, contacts
+            end[late] = solution.positions[late]
 
     def _detect(self, before: Poses, after: Poses, end: np.ndarray) -> Contacts:
         s = self._settings
@@ -279,6 +302,16 @@ class Simulation:
         state = predicted, self._velocities, self._pressed[pairs], self._slip[pairs]
         return gap_springs(RESPONSES.get(s.contact), contacts, self.model.masses, *state, s)
 
+    def _late(self, contacts: Contacts, springs: GapSprings, end: np.ndarray) -> np.ndarray:
+        """Vertices that an impulse would have to push, as the solve did not feel a contact that it led to."""
+        response = RESPONSES.get(self._settings.contact)
+        if response is None or not response.impulses:
+            return np.zeros(0, dtype=np.int64)
+        felt = np.zeros(self._pressed.shape, dtype=bool)
+        felt[springs.vertex, springs.obstacle] = True
+        near = lacks(response, contacts, end, self._settings.thickness) > self._settings.tolerance
+        return contacts.vertex[near & ~felt[contacts.vertex, contacts.obstacle]]
+
     def _solve(self, springs: GapSprings) -> Solution:
         s = self._settings
         try:
@@ -289,19 +322,17 @@ class Simulation:
             raise StepError(str(error), "solve", self._suspect()) from None
 
     def _respond(
-        self, before: Poses, after: Poses, springs: GapSprings, contacts: Contacts, solution: Solution
+        self, springs: GapSprings, contacts: Contacts, solution: Solution
     ) -> tuple[np.ndarray, np.ndarray]:
         """Impulses and friction after the solve; returns normal impulses [N s] and slip [m/s], (n, o)."""
         s, h = self._settings, self._settings.dt
-        pressed, slip, drag = np.zeros((3, *self._pressed.shape))
+        pressed, slip, drag = (np.zeros_like(self._pressed) for _ in range(3))
         response = RESPONSES.get(s.contact)
         if response is None or not self.scene.obstacle:
             return pressed, slip
         x, v = solution.positions, solution.velocities
         solved = springs.vertex, springs.obstacle
         pressed[solved], drag[solved], slip[solved] = springs.pushes(x, v, h), springs.drag, springs.slip(v)
-        if response.impulses:
-            contacts = self._detect(before, after, x)
         pairs = contacts.vertex, contacts.obstacle
         impulses, wanted = pressed[pairs], targets(response, contacts, s.thickness)
         push = contacts, wanted, self.model.masses, h, x, v, impulses

@@ -8,6 +8,9 @@ from collections.abc import Iterator
 
 import numba
 
+LAUNCHED: int = numba.config.NUMBA_NUM_THREADS  # pyright: ignore
+"""Threads that Numba starts, by default one per processor core."""
+
 _one_at_a_time = threading.Lock()
 
 
@@ -18,7 +21,7 @@ def processor_threads(count: int) -> Iterator[None]:
     Several simulations may be in such a block at once, except on Numba's workqueue layer, which may only be
     entered by one Python thread at a time.
     """
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(count, LAUNCHED))
     with _one_at_a_time if threading_layer() == "workqueue" else contextlib.nullcontext():
         yield
 
@@ -26,6 +29,6 @@ def processor_threads(count: int) -> Iterator[None]:
 def threading_layer() -> str:
     """Numba's threading layer: "omp", "tbb" or "workqueue"; "" before the first parallel kernel has run."""
     try:
-        return numba.threading_layer()
+        return numba.threading_layer()  # pyright: ignore[reportPrivateImportUsage]
     except ValueError:
         return ""

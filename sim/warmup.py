@@ -56,7 +56,7 @@ class _Watch(event.Listener):
         self.progress = progress
 
     def on_start(self, event: event.Event) -> None:
-        dispatcher = event.data["dispatcher"]
+        dispatcher = (event.data or {})["dispatcher"]
         if self.progress is not None and dispatcher in self.kernels:
             ready = sum(bool(k.overloads) for k in self.kernels)
             module, name = dispatcher.py_func.__module__, dispatcher.py_func.__name__

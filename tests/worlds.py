@@ -28,7 +28,7 @@ def chain(points, masses, **more) -> dict[str, Any]:
 
 
 def irregular(seed=0, count=60, noise=0.03) -> dict[str, Any]:
-    """A crumpled irregular mesh: Delaunay of random points, moved out of its plane, with a flat rest shape."""
+    """A crumpled irregular mesh: Delaunay of random points, moved out of its plane; its rest is flat."""
     from scipy.spatial import Delaunay
 
     rng = np.random.default_rng(seed)

@@ -51,9 +51,8 @@ class Contacts(NamedTuple):
         return np.concatenate([self.normal, self.offset[:, None]], axis=1)
 
 
-NO_CONTACTS = Contacts(
-    *np.zeros((2, 0), np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
-)
+_NONE, _NOWHERE = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+NO_CONTACTS = Contacts(_NONE, _NONE, np.zeros(0), _NOWHERE, np.zeros(0), _NOWHERE)
 
 
 def detect(

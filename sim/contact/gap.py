@@ -14,8 +14,8 @@ import numpy as np
 from sim.compiled import kernel
 from sim.contact.detect import Contacts
 from sim.contact.friction import CREEP, EXCESS, add_drag, expected_drag
-from sim.contact.response import Response, targets
-from sim.elements import Elements, elastic_energy, make_elements, set_matrix_factors, set_tension
+from sim.contact.response import Response, lacks, targets
+from sim.elements import Elements, make_elements, set_matrix_factors, set_tension
 from sim.settings import Settings
 from sim.solve.system import Matrix, add_single_node
 
@@ -98,9 +98,17 @@ class GapSprings(NamedTuple):
         return np.linalg.norm(passing - _along(normal, passing)[:, None] * normal, axis=1)
 
     def energy(self, positions: np.ndarray) -> float:
-        """Energy [J] stored in the gap springs at `positions`."""
+        """Energy [J] stored at `positions` in the gap springs that push; none of them can pull."""
         self.measure(positions)
-        return float(elastic_energy(self.elements))
+        overlap = np.minimum(self.elements.q - self.elements.rest, 0.0)
+        return 0.5 * float(self.elements.stiffness @ overlap**2)
+
+    def release(self, positions: np.ndarray, slack: float) -> None:
+        """Let go, for the rest of the step, of vertices farther than `slack` [m] off their target."""
+        self.measure(positions)
+        held = self.elements.q <= self.elements.rest + slack
+        for strength in (self.elements.stiffness, self.elements.damping, self.drag):
+            strength *= held
 
     def pushes(self, positions: np.ndarray, velocities: np.ndarray, h: float) -> np.ndarray:
         """(c,) normal impulse of each gap spring over a step that ends so [N s]."""
@@ -119,7 +127,7 @@ def gap_springs(
     slip: np.ndarray,
     settings: Settings,
 ) -> GapSprings:
-    """The gap springs of those contacts whose vertex would, unhindered, end a step too close.
+    """The gap springs of contacts that pressed in the step before, or that would unhindered end too close.
 
     Args:
         response: Which response; none has no springs.
@@ -136,8 +144,8 @@ def gap_springs(
         return GapSprings(make_elements(none[:, :1], 4), contacts.obstacle[:0], none, none[:, 0].copy())
     h = settings.dt
     target = targets(response, contacts, settings.thickness)
-    lack = target + contacts.offset - _along(contacts.normal, predicted[contacts.vertex])
-    kept = np.flatnonzero(lack > 0.0)
+    lack = lacks(response, contacts, predicted, settings.thickness)
+    kept = np.flatnonzero((lack > 0.0) | (pressed > 0.0))
     normal, speed, mass = contacts.normal[kept], contacts.speed[kept], masses[contacts.vertex[kept]]
     elements = make_elements(contacts.vertex[kept, None], 4)
     elements.memory[:] = contacts.planes()[kept]
@@ -149,7 +157,7 @@ def gap_springs(
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
     elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
     sliding = np.linalg.norm(passing - closing[:, None] * normal, axis=1)
-    force = np.maximum(pressed[kept] / h, mass * lack[kept] / h**2)
+    force = np.maximum(pressed[kept] / h, mass * np.maximum(lack[kept], 0.0) / h**2)
     drag = settings.friction * force / np.maximum(np.maximum(sliding, slip[kept]), CREEP)
     return GapSprings(elements, contacts.obstacle[kept], speed, drag)
 

@@ -65,7 +65,8 @@ def _describe(part: Sphere | Plane | Box | Capsule) -> tuple[int, tuple[float, f
     if isinstance(part, Plane):
         return PLANE, (0.0, 0.0, 0.0), _turn_z_to(np.asarray(part.normal))
     if isinstance(part, Box):
-        return BOX, tuple(0.5 * s for s in part.size), np.eye(3)
+        x, y, z = part.size
+        return BOX, (0.5 * x, 0.5 * y, 0.5 * z), np.eye(3)
     axis = np.asarray(part.end) - np.asarray(part.start)
     length = float(np.linalg.norm(axis))
     return CAPSULE, (0.5 * length, part.radius, 0.0), _turn_z_to(axis) if length > 0.0 else np.eye(3)

@@ -55,12 +55,19 @@ def targets(response: Response, contacts: Contacts, thickness: float) -> np.ndar
     )
 
 
+def lacks(response: Response, contacts: Contacts, positions: np.ndarray, thickness: float) -> np.ndarray:
+    """(c,) how far each vertex at `positions` (n, 3) is short of its target [m]; negative where it is not."""
+    gap = np.einsum("ij,ij->i", contacts.normal, positions[contacts.vertex]) - contacts.offset
+    return targets(response, contacts, thickness) - gap
+
+
 @kernel
 def push_out(contacts, targets, masses, h, positions, velocities, impulses):
     """Give every vertex that is nearer than its target the inelastic impulse that keeps the target.
 
     Adds to `impulses` (c,) [N s], and returns the number of vertices still too near after the last sweep.
     """
+    pushed = 0
     for _ in range(MOST_SWEEPS):
         pushed = 0
         for c in range(len(contacts.vertex)):
@@ -74,5 +81,5 @@ def push_out(contacts, targets, masses, h, positions, velocities, impulses):
                     positions[i, r] += lack * contacts.normal[c, r]
                     velocities[i, r] += lack / h * contacts.normal[c, r]
         if pushed == 0:
-            return 0
+            break
     return pushed

@@ -83,8 +83,8 @@ def backward_euler(
     free = model.free
     velocities = (start - x_hat) / h
     guess, shortcut = v_hat - velocities, np.where(free[:, None], h * np.asarray(settings.gravity), 0.0)
-    iterations, newton, converged = 0, 0, False
-    while newton < settings.newton and not converged:
+    iterations, newton = 0, 0
+    while True:
         newton += 1
         forces = model.linearise(x_hat + h * velocities, velocities, contacts, h)
         linear = _solve(model, settings, forces, v_hat - velocities, guess, shortcut, h)
@@ -99,11 +99,12 @@ def backward_euler(
             descent = model.masses[:, None] * (v_hat - velocities) + h * forces
             step = _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent)
         velocities = velocities + step
+        contacts.release(x_hat + h * velocities, settings.tolerance)
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
-        if not step.any():
-            break
-    return Solution(x_hat + h * velocities, velocities, iterations, newton, linear.error, converged)
+        if converged or newton == settings.newton or not step.any():
+            end = x_hat + h * velocities
+            return Solution(end, velocities, iterations, newton, linear.error, converged)
 
 
 @dataclass(frozen=True)

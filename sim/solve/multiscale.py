@@ -116,7 +116,8 @@ def _all_hats(mesh: Mesh, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
             found.append((own[vertex], hat + count, weight))
             count += int(hat.max()) + 1
             spacing *= COARSENING
-    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+    vertices, hats, weights = zip(*found, strict=True)
+    return np.concatenate(vertices), np.concatenate(hats), np.concatenate(weights)
 
 
 def _hats(rest: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

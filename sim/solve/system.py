@@ -69,7 +69,7 @@ def build_system(n: int, stencils: list[np.ndarray]) -> tuple[Matrix, list[Gathe
     )
     targets = np.concatenate([np.arange(n), pairs])
     upper, lower = place[: len(pairs)].astype(np.int32), place[len(pairs) :].astype(np.int32)
-    return matrix, [Gather(*_sorted(part, targets), upper, lower) for part in parts]
+    return matrix, [_gather(part, targets, upper, lower) for part in parts]
 
 
 def _contributions(nodes: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
@@ -86,15 +86,18 @@ def _contributions(nodes: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
     return tuple(np.concatenate(column) for column in columns)
 
 
-def _sorted(part: tuple[np.ndarray, ...], targets: np.ndarray) -> tuple[np.ndarray, ...]:
+def _gather(
+    part: tuple[np.ndarray, ...], targets: np.ndarray, upper: np.ndarray, lower: np.ndarray
+) -> Gather:
     key, element, a, b = part
     order = np.lexsort((element, key))
-    first = np.append(np.searchsorted(key[order], targets), len(key))
-    return (
-        first.astype(np.int32),
-        element[order].astype(np.int32),
-        a[order].astype(np.int8),
-        b[order].astype(np.int8),
+    return Gather(
+        first=np.append(np.searchsorted(key[order], targets), len(key)).astype(np.int32),
+        element=element[order].astype(np.int32),
+        a=a[order].astype(np.int8),
+        b=b[order].astype(np.int8),
+        upper=upper,
+        lower=lower,
     )
 
 

@@ -1,6 +1,8 @@
 """Angle springs: q is the dihedral angle θ of a hinge.
 
-After Bridson, Marino and Fedkiw (2003) and Grinspun et al. (2003). With e = x2 − x1, triangle A = (x1, x2, x3) and B = (x2, x1, x4), the normals N1 = e × (x3 − x1) and N2 =
+After Bridson, Marino and Fedkiw (2003) and Grinspun et al. (2003).
+
+With e = x2 − x1, triangle A = (x1, x2, x3) and B = (x2, x1, x4), the normals N1 = e × (x3 − x1) and N2 =
 (x4 − x1) × e give θ = atan2(ê·(N2 × N1), N1·N2): zero when flat, positive when the tips x3 and x4 move to
 the side that N1 points to. The gradient needs no trigonometry, and sums to no net force and no net torque.
 """

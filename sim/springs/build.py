@@ -84,7 +84,7 @@ def fold(hinges: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
     Both triangles keep their shape and each turns by half of θ about the shared edge.
     """
     length, foot3, height3, foot4, height4 = hinge_shape(hinges)
-    shape, motion = np.zeros((2, *hinges.shape))
+    shape, motion = np.zeros(hinges.shape), np.zeros(hinges.shape)
     shape[:, 1, 0] = length
     c, s = np.cos(theta / 2.0), np.sin(theta / 2.0)
     for vertex, foot, height, side in ((2, foot3, height3, 1.0), (3, foot4, height4, -1.0)):
