@@ -273,7 +273,7 @@ class Simulation:
     def _solve_with_contact(
         self, before: Poses, after: Poses, report: StepReport
     ) -> tuple[GapSprings, Solution, Contacts]:
-        """Solve with the contacts on the way that vertices would take by themselves, then on their real way."""
+        """Solve with contacts on the way that vertices would take by themselves, then on their real way."""
         h, free = self._settings.dt, self.model.free[:, None]
         end = self._positions + h * (self._velocities + h * np.asarray(self._settings.gravity) * free)
         solves = 0
