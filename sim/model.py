@@ -85,6 +85,13 @@ class Model:
         contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
 
+    def untouched(self, touching: np.ndarray) -> np.ndarray:
+        """(pieces,) bool: pieces without a pinned vertex and without any of the vertices `touching`."""
+        held = np.zeros(len(self.piece_masses), dtype=bool)
+        held[self.mesh.pieces[self.mesh.pinned]] = True
+        held[self.mesh.pieces[touching]] = True
+        return ~held
+
     def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) elastic, damping and gravity forces [N]."""
         self.measure(positions)

@@ -103,7 +103,7 @@ def test_conjugate_gradients_find_the_dense_solution_with_fixed_vertices():
     x, preconditioner = np.zeros((n, 3)), build_preconditioner(world.mesh, free, world.model.matrix)
     refresh(preconditioner, world.model.matrix)
     _, error, status = conjugate_gradients(
-        world.model.matrix, preconditioner, b, x, np.zeros_like(b), 1e-10, 10_000
+        world.model.matrix, preconditioner, b.copy(), x, np.zeros_like(b), 1e-10, 10_000
     )
     kept = np.repeat(free, 3)
     expected = np.linalg.solve(matrix[np.ix_(kept, kept)], b.ravel()[kept])
@@ -180,15 +180,15 @@ def test_damping_resists_no_rigid_rotation(gamma):
 @pytest.mark.parametrize("newton", [1, 20])
 @pytest.mark.parametrize("bend", ["cross", "angle"])
 def test_momentum_is_kept_where_nothing_acts_from_outside(bend, newton):
-    world = sim.Simulation(scene(irregular(5), bend=bend, gamma=0.5, newton=newton, tolerance=1e-10))
+    world = sim.Simulation(scene(irregular(5), bend=bend, gamma=0.5, newton=newton))
     rng = np.random.default_rng(1)
     world._velocities[:] = rng.standard_normal(world.positions.shape)
     before, _ = world.momentum()
     for _ in range(10):
         world.step()
         scale = world.masses @ np.linalg.norm(world.velocities, axis=1)
-        # The linear solve stops at 1e-10 m; its error has no reason to be momentum-free.
-        assert np.linalg.norm(world.momentum()[0] - before) < 1e-6 * scale
+        # However coarse the tolerance: what a solve leaves undone is no translation of a free piece.
+        assert np.linalg.norm(world.momentum()[0] - before) < 1e-12 * scale
     forces = world.forces()
     arms = world.positions - world.positions.mean(axis=0)
     assert np.linalg.norm(forces.sum(axis=0)) < 1e-12 * np.abs(forces).sum()

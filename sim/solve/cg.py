@@ -74,13 +74,13 @@ def turn(p, z, beta):
 
 
 @kernel
-def conjugate_gradients(matrix, preconditioner, b, x, shortcut, tolerance, most):
+def conjugate_gradients(matrix, preconditioner, r, x, shortcut, tolerance, most):
     """Solve A x = b on free vertices.
 
     Args:
         matrix: A, symmetric positive definite.
         preconditioner: P⁻¹, refreshed for A; says which vertices are free.
-        b: (n, 3) right-hand side.
+        r: (n, 3) the right-hand side b, overwritten by the residual b − A x.
         x: (n, 3) the guess, overwritten by the solution; fixed entries must be zero.
         shortcut: (n, 3) a direction that may hold most of the error (free fall), or zero.
         tolerance: Error allowed, in the mass-weighted norm ‖x − x*‖_M; already multiplied by √(total mass).
@@ -91,14 +91,14 @@ def conjugate_gradients(matrix, preconditioner, b, x, shortcut, tolerance, most)
     """
     free, partial = preconditioner.free, np.zeros(CHUNKS)
     drops = np.zeros(WINDOW)
-    r, z, p, ap = np.zeros(b.shape), np.zeros(b.shape), np.zeros(b.shape), np.zeros(b.shape)
+    z, p, ap = np.zeros(r.shape), np.zeros(r.shape), np.zeros(r.shape)
     multiply(matrix, free, x, ap, partial)
-    for i in range(len(b)):
+    for i in range(len(r)):
         for c in range(3):
-            r[i, c] = b[i, c] - ap[i, c] if free[i] else 0.0
+            r[i, c] = r[i, c] - ap[i, c] if free[i] else 0.0
     curvature = multiply(matrix, free, shortcut, ap, partial)
     along = 0.0
-    for i in range(len(b)):
+    for i in range(len(r)):
         for c in range(3):
             along += shortcut[i, c] * r[i, c]
     step_along(along / curvature if curvature > 0.0 else 0.0, shortcut, ap, x, r)

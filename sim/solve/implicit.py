@@ -87,11 +87,13 @@ def backward_euler(
     while True:
         newton += 1
         forces = model.linearise(x_hat + h * velocities, velocities, contacts, h)
-        linear = _solve(model, settings, forces, v_hat - velocities, guess, shortcut, h)
+        loose = model.untouched(contacts.vertex)
+        linear = _solve(model, loose, settings, forces, v_hat - velocities, guess, shortcut, h)
         iterations += linear.iterations
         end = velocities + linear.step
         if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
-            linear = _solve(model, settings, forces, v_hat - velocities, linear.step, np.zeros_like(guess), h)
+            none = np.zeros_like(guess)
+            linear = _solve(model, loose, settings, forces, v_hat - velocities, linear.step, none, h)
             iterations += linear.iterations
         step = linear.step
         small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
@@ -115,15 +117,24 @@ class _Linear:
     converged: bool
 
 
-def _solve(model, settings, forces, change, guess, shortcut, h) -> _Linear:
-    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step."""
+def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linear:
+    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step.
+
+    On `loose` pieces, which nothing holds from outside, A moves a translation like M alone does: what
+    the residual has of one is taken out exactly, so that the tolerance costs no momentum.
+    """
     to_metres = h / math.sqrt(model.free_mass or 1.0)
     refresh(model.preconditioner, model.matrix)
-    b = model.masses[:, None] * change + h * forces
-    step = guess.copy()
+    rest = model.masses[:, None] * change + h * forces
+    step, allowed = guess.copy(), settings.tolerance / to_metres
     iterations, error, status = conjugate_gradients(
-        model.matrix, model.preconditioner, b, step, shortcut, settings.tolerance / to_metres, MOST_ITERATIONS
+        model.matrix, model.preconditioner, rest, step, shortcut, allowed, MOST_ITERATIONS
     )
+    pieces = model.mesh.pieces
+    drift = (
+        np.stack([np.bincount(pieces, rest[:, c]) for c in range(3)], axis=1) / model.piece_masses[:, None]
+    )
+    step += (drift * loose[:, None])[pieces]
     if status == BROKEN or not np.isfinite(step).all():
         raise SolveError("the linear system is not positive definite or not finite")
     return _Linear(step, iterations, error * to_metres, status == CONVERGED)
