@@ -55,8 +55,13 @@ def run(
         ValueError, OSError: before anything is simulated, for a call that makes no sense.
     """
     _check(scene, overrides, seconds, fps)
-    for path in filter(None, (out, json)):
-        check_writable(path)
+    for option, path in (("--out", out), ("--json", json)):
+        if path == "":
+            raise ValueError(f"{option}: expected a file, got an empty name")
+        if path is not None:
+            check_writable(path)
+    if out is not None and out == json:
+        raise ValueError(f"--json: expected another file than --out, got {json}")
     outcome, recording = _simulate(scene, overrides, seconds, fps, record=out is not None)
     if recording is not None and out is not None:
         recording.save(out)

@@ -52,11 +52,13 @@ class Mesh:
 
 def build_mesh(scene: Scene) -> Mesh:
     """The mesh of all cloth of `scene`; raises SceneError for arrays or files that are no mesh."""
-    pieces = [_piece(cloth, f"{scene.name}: cloth[{i}]", scene.folder) for i, cloth in enumerate(scene.cloth)]
+    pieces = [
+        _piece(cloth, f"{scene.source}: cloth[{i}]", scene.folder) for i, cloth in enumerate(scene.cloth)
+    ]
     first = np.cumsum([0] + [len(p.vertices) for p in pieces])
     total = int(first[-1])
     if total > MAX_VERTICES:
-        raise SceneError(f"{scene.name}: cloth: expected at most {MAX_VERTICES} vertices, got {total}")
+        raise SceneError(f"{scene.source}: cloth: expected at most {MAX_VERTICES} vertices, got {total}")
     triangles = np.concatenate([p.triangles + f for p, f in zip(pieces, first, strict=False)])
     extra = np.concatenate([p.edges + f for p, f in zip(pieces, first, strict=False)])
     hinges, hinge_warnings = _hinges(triangles, total)
@@ -230,7 +232,13 @@ def _arrays(cloth: Arrays, where: str):
         rest = _numbers(cloth.rest_vertices, 3, f"{where}.rest_vertices")
         if len(rest) != n:
             raise SceneError(f"{where}.rest_vertices: expected {n} rows, got {len(rest)}")
+        _near(rest, f"{where}.rest_vertices")
     return points, triangles, edges, masses, rest
+
+
+def _near(points: np.ndarray, where: str) -> None:
+    if np.abs(points).max() > 1e4:
+        raise SceneError(f"{where}: expected coordinates within ±1e4 m, got {np.abs(points).max():g}")
 
 
 def _numbers(value: Any, width: int, where: str) -> np.ndarray:

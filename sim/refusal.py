@@ -95,7 +95,7 @@ def _inner(kind: inspect.Type | None, part: str) -> inspect.Type | None:
 
 def _keys(kind: inspect.Type | None) -> list[str]:
     names = [f.encode_name for f in kind.fields] if isinstance(kind, inspect.StructType) else []
-    return [name for name in names if name != "folder"]
+    return [name for name in names if name not in ("folder", "source")]
 
 
 def _nearest(name: str, known: list[str]) -> str:

@@ -32,6 +32,8 @@ LONGEST_LINE = 600
 """Characters of an error message, however long the value that it shows."""
 
 Vector = tuple[float, float, float]
+Turn = Annotated[float, Meta(ge=-1e4, le=1e4)]
+Rotation = tuple[Turn, Turn, Turn]
 Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Length = Annotated[float, Meta(ge=1e-4, le=1e3)]
@@ -55,7 +57,7 @@ class _Cloth(_Part, kw_only=True):
     name: str = ""
     position: Point = (0.0, 0.0, 0.0)
     """Where the centre of a grid, or the origin of a mesh, is put."""
-    rotation: Vector = (0.0, 0.0, 0.0)
+    rotation: Rotation = (0.0, 0.0, 0.0)
     """Rotation vector, applied about that point; unrotated grids lie in the x–y plane."""
     pins: list[int | str] = []
     """Vertices that stay where they start: indices, or a grid's "corner00" … "corner11", "left" … "top"."""
@@ -104,7 +106,7 @@ class Key(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     time: Annotated[float, Meta(ge=0.0, le=1e6)]
     position: Point | None = None
     """Of the obstacle's reference point; where left out, the place that the obstacle is defined at."""
-    rotation: Vector = (0.0, 0.0, 0.0)
+    rotation: Rotation = (0.0, 0.0, 0.0)
     """Rotation vector about the reference point; several turns are allowed."""
 
 
@@ -134,7 +136,7 @@ class Plane(_Obstacle, kw_only=True, tag="plane"):
     """A half-space: solid on the side that the normal points away from."""
 
     point: Point = (0.0, 0.0, 0.0)
-    normal: Vector = (0.0, 0.0, 1.0)
+    normal: Point = (0.0, 0.0, 1.0)
 
     @property
     def reference(self) -> Vector:
@@ -195,7 +197,7 @@ class Compare(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A whole scene. `folder` is where its mesh files are looked for."""
+    """A whole scene. `source` names it in errors; `folder` is where its mesh files are looked for."""
 
     format: Literal[1] = 1
     name: str = ""
@@ -205,6 +207,7 @@ class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     lesson: Lesson | None = None
     camera: Camera | None = None
     compare: Compare = field(default_factory=Compare)
+    source: str = "scene"
     folder: str = ""
 
 
@@ -236,8 +239,8 @@ def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
     if isinstance(source, dict):
         return _checked({"folder": str(Path.cwd()), **_plain(source)}, "scene", "scene")
     path, table = _toml(source)
-    if "folder" in table:
-        raise SceneError(f"{source}: folder: no such key; mesh files are looked for beside the scene file")
+    for key in {"folder", "source"} & table.keys():
+        raise SceneError(f"{source}: {key}: no such key; mesh files are looked for beside the scene file")
     return _checked({**table, "folder": str(path.resolve().parent)}, str(source), path.stem)
 
 
@@ -253,6 +256,8 @@ def _plain(value: Any) -> Any:
 def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:
     try:
         path = find_scene(where)
+        if path.exists() and not path.is_file():  # a folder, or a pipe that would be waited for
+            raise SceneError(f"{where}: cannot be read: expected a regular file")
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
@@ -260,7 +265,7 @@ def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:
     if len(data) > MAX_BYTES:
         raise SceneError(f"{where}: expected at most {MAX_BYTES // 10**6} MB, got more")
     try:
-        return path, tomllib.loads(data.decode("utf-8"))
+        return path, tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise SceneError(f"{where}: not TOML: {' '.join(str(error).split())}") from None
 
@@ -275,7 +280,7 @@ def _checked(table: dict[str, Any], where: str, name: str) -> Scene:
         raise SceneError(f"{where}: {in_words(str(error), table, Scene)}") from None
     for key, reason in _problems(scene):
         raise SceneError(f"{where}: {key}: {reason}")
-    return scene
+    return msgspec.structs.replace(scene, source=where)
 
 
 def _cloth_list(cloth: Any, where: str) -> list[Any]:
@@ -297,8 +302,6 @@ def _settings(table: Any, where: str) -> Settings:
 def _problems(scene: Scene):
     """What types and bounds cannot say, as (key, reason)."""
     for i, cloth in enumerate(scene.cloth):
-        if not all(map(math.isfinite, (*cloth.position, *cloth.rotation))):
-            yield f"cloth[{i}]", "position and rotation must be finite"
         for k, pin in enumerate(cloth.pins):
             if isinstance(pin, int) and pin < 0:
                 yield f"cloth[{i}].pins[{k}]", f"expected a vertex index ≥ 0 or the name of a side, got {pin}"
@@ -308,14 +311,6 @@ def _problems(scene: Scene):
                 f"expected at most {MAX_VERTICES} vertices, got {math.prod(cloth.resolution)}",
             )
     for i, obstacle in enumerate(scene.obstacle):
-        numbers = [
-            v
-            for value in msgspec.structs.astuple(obstacle)
-            for v in (value if isinstance(value, tuple) else ())
-        ]
-        keys = [v for key in obstacle.path for v in (*key.rotation, *(key.position or ()))]
-        if not all(map(math.isfinite, numbers + keys)):
-            yield f"obstacle[{i}]", "every number must be finite"
         times = [key.time for key in obstacle.path]
         if any(later <= sooner for sooner, later in pairwise(times)):
             yield f"obstacle[{i}].path", f"expected times that increase, got {times}"

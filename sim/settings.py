@@ -49,6 +49,12 @@ def choice(
     return Meta(description=description, extra=extra)
 
 
+STRONGEST = 1e3
+"""Largest component of gravity [m/s²], a hundred times the earth's."""
+
+Acceleration = Annotated[float, Meta(ge=-STRONGEST, le=STRONGEST)]
+
+
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that may change while a simulation runs. Immutable: a change makes a new value."""
 
@@ -146,7 +152,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         ),
     ] = 0.2
     gravity: Annotated[
-        tuple[float, float, float],
+        tuple[Acceleration, Acceleration, Acceleration],
         number("m/s²", "Cloth", "Acceleration that acts on every vertex.", label="gravity", cost="free"),
     ] = (0.0, 0.0, -9.81)
     contact: Annotated[
@@ -304,7 +310,7 @@ class Field:
         if self.choices is not None:
             return "one of " + ", ".join(f'"{name}"' for name in self.choices())
         if self.type == "vector":
-            return "three finite numbers"
+            return f"three numbers from {-STRONGEST:g} to {STRONGEST:g}"
         bounds = [f"≥ {self.minimum:g}" if self.minimum is not None else ""]
         bounds += [f"≤ {self.maximum:g}" if self.maximum is not None else ""]
         whole = "a whole number " if self.type == "integer" else ""
@@ -385,8 +391,11 @@ def parse(name: str, text: str) -> Any:
     """The value that `text`, as typed on a command line in `name=text`, means for setting `name`."""
     if name not in FIELDS or FIELDS[name].type == "choice":
         return convert(name, text)
+    several = FIELDS[name].type == "vector"
     try:
-        value = json.loads(f"[{text.strip('()[] ')}]")
+        value = json.loads(f"[{text.strip('()[] ') if several else text}]")
     except ValueError:
-        raise ValueError(FIELDS[name].refusal(text)) from None
-    return convert(name, value if FIELDS[name].type == "vector" or len(value) != 1 else value[0])
+        value = []
+    if len(value) != (3 if several else 1):
+        raise ValueError(FIELDS[name].refusal(text))
+    return convert(name, value if several else value[0])

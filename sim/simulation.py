@@ -309,7 +309,8 @@ class Simulation:
             return np.zeros(0, dtype=np.int64)
         felt = np.zeros(self._pressed.shape, dtype=bool)
         felt[springs.vertex, springs.obstacle] = True
-        near = lacks(response, contacts, end, self._settings.thickness) > self._settings.tolerance
+        s = self._settings
+        near = lacks(response, contacts, end, s.thickness, s.dt) > s.tolerance
         return contacts.vertex[near & ~felt[contacts.vertex, contacts.obstacle]]
 
     def _solve(self, springs: GapSprings) -> Solution:
@@ -334,7 +335,7 @@ class Simulation:
         solved = springs.vertex, springs.obstacle
         pressed[solved], drag[solved], slip[solved] = springs.pushes(x, v, h), springs.drag, springs.slip(v)
         pairs = contacts.vertex, contacts.obstacle
-        impulses, wanted = pressed[pairs], targets(response, contacts, s.thickness)
+        impulses, wanted = pressed[pairs], targets(response, contacts, s.thickness, h)
         push = contacts, wanted, self.model.masses, h, x, v, impulses
         if response.impulses:
             push_out(*push)
@@ -345,11 +346,16 @@ class Simulation:
         return pressed, slip
 
     def _suspect(self) -> str:
-        """The setting that most often makes a step fail: the one furthest up its slider's range."""
+        """The setting most likely to make a step fail: the first that is far from where it does well."""
         s = self._settings
-        return (
-            "dt" if s.dt > 1 / 30 else "stretch" if s.stretch > 1e5 else "gamma" if s.gamma > 10.0 else "dt"
-        )
+        far = {
+            "gravity": float(np.abs(s.gravity).max()) > 100.0,
+            "dt": s.dt > 1 / 30,
+            "stretch": s.stretch > 1e5,
+            "bending": s.bending > 1.0,
+            "gamma": s.gamma > 10.0,
+        }
+        return next((name for name, is_far in far.items() if is_far), "dt")
 
     def _effects(self, report: StepReport) -> dict[str, str]:
         s = self._settings

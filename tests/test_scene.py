@@ -59,7 +59,10 @@ REFUSED = [
         f"cloth[0].resolution: expected at most {MAX_VERTICES} vertices, got 4000000",
     ),
     (grid(position=[1e5, 0, 0]), "cloth[0].position[0]: expected ≥ -10000 and ≤ 10000, got 100000.0"),
-    (grid(rotation=[math.inf, 0.0, 0.0]), "cloth[0]: position and rotation must be finite"),
+    (
+        grid(rotation=[math.inf, 0.0, 0.0]),
+        "cloth[0].rotation[0]: expected ≥ -10000 and ≤ 10000, got inf",
+    ),
     (grid(density=0), "cloth[0].density: expected ≥ 0.0001 and ≤ 1000, got 0"),
     (grid(pins=[-1]), "cloth[0].pins[0]: expected a vertex index ≥ 0 or the name of a side, got -1"),
     (grid(pins=[1.5]), "cloth[0].pins[0]: expected a whole number or a string, got 1.5"),
@@ -76,7 +79,10 @@ REFUSED = [
         ball(path=[{"time": 1}, {"time": 1}]),
         "obstacle[0].path: expected times that increase, got [1.0, 1.0]",
     ),
-    (ball(path=[{"time": 1, "rotation": [math.inf, 0, 0]}]), "obstacle[0]: every number must be finite"),
+    (
+        ball(path=[{"time": 1, "rotation": [math.inf, 0, 0]}]),
+        "obstacle[0].path[0].rotation[0]: expected ≥ -10000 and ≤ 10000, got inf",
+    ),
     (ball(repeat=True), "obstacle[0].repeat: expected a path of at least two keys to repeat"),
     (
         {"cloth": GRID, "obstacle": [{"kind": "plane", "normal": [0, 0, 0]}]},

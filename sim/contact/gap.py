@@ -143,8 +143,8 @@ def gap_springs(
         none = np.zeros((0, 3))
         return GapSprings(make_elements(none[:, :1], 4), contacts.obstacle[:0], none, none[:, 0].copy())
     h = settings.dt
-    target = targets(response, contacts, settings.thickness)
-    lack = lacks(response, contacts, predicted, settings.thickness)
+    target = targets(response, contacts, settings.thickness, h)
+    lack = lacks(response, contacts, predicted, settings.thickness, h)
     kept = np.flatnonzero((lack > 0.0) | (pressed > 0.0))
     normal, speed, mass = contacts.normal[kept], contacts.speed[kept], masses[contacts.vertex[kept]]
     elements = make_elements(contacts.vertex[kept, None], 4)

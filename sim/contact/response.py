@@ -39,6 +39,9 @@ class Response:
 
 RESPONSES = {"penalty": Response(10.0, 1.0, 1.0, False), "impulse": Response(100.0, 0.0, 0.1, True)}
 
+RECOVERY_SPEED = 0.2
+"""Speed [m/s] at which an overlap is taken back at most: cloth found deep inside rises, and is not thrown."""
+
 MOST_SWEEPS = 20
 """Gauss–Seidel sweeps over the contacts; only a vertex between several obstacles needs more than one."""
 
@@ -46,19 +49,18 @@ RESTING = 1e-12
 """A lack of gap [m] that is rounding and asks for no impulse."""
 
 
-def targets(response: Response, contacts: Contacts, thickness: float) -> np.ndarray:
-    """(c,) gap that each vertex should have at the end of the step [m]: an overlap is recovered in part."""
-    return np.where(
-        contacts.start < thickness,
-        contacts.start + response.recovery * (thickness - contacts.start),
-        thickness,
-    )
+def targets(response: Response, contacts: Contacts, thickness: float, h: float) -> np.ndarray:
+    """(c,) gap [m] that each vertex should have after a step of h [s]: an overlap is recovered in part."""
+    overlap = np.maximum(thickness - contacts.start, 0.0)
+    return thickness - overlap + np.minimum(response.recovery * overlap, RECOVERY_SPEED * h)
 
 
-def lacks(response: Response, contacts: Contacts, positions: np.ndarray, thickness: float) -> np.ndarray:
+def lacks(
+    response: Response, contacts: Contacts, positions: np.ndarray, thickness: float, h: float
+) -> np.ndarray:
     """(c,) how far each vertex at `positions` (n, 3) is short of its target [m]; negative where it is not."""
     gap = np.einsum("ij,ij->i", contacts.normal, positions[contacts.vertex]) - contacts.offset
-    return targets(response, contacts, thickness) - gap
+    return targets(response, contacts, thickness, h) - gap
 
 
 @kernel
