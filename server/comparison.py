@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from server.digits import number_text
+from server.digits import written
 from server.palette import MAX_VARIANTS
 from sim.scene import Scene
 from sim.settings import FIELDS, Field, Settings, convert
@@ -27,7 +27,7 @@ def value_text(field: Field, value: Any) -> str:
     """A setting's value with its unit, as people read it."""
     if field.type == "vector":
         return "(" + ", ".join(f"{v:g}" for v in value) + ")" + f" {field.unit}".rstrip()
-    text = value if isinstance(value, str) else number_text(value)
+    text = value if isinstance(value, str) else written(value)
     return f"{text} {field.unit}".rstrip()
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import viser
 
+from server import style
 from server.digits import number_text, round_below, short
 from server.guard import Guard, handle_id
 from server.palette import Rgb
@@ -211,10 +212,11 @@ class LogSlider(Control):
         slider, box = (handle_id(handle) for handle in self.inputs)
         row = f'div:has(> .mantine-Flex-root label[for="{box}"])'
         return super().css() + (
-            f'[id="{slider}"]~.mantine-NumberInput-root{{visibility:hidden;width:4.2em!important}}'
-            f"{row}{{margin:-2.3em 0 0 auto;width:5.5em;position:relative;z-index:4}}"
+            f'[id="{slider}"]~.mantine-NumberInput-root{{visibility:hidden}}'
+            f"{row}{{margin:-{style.ROW}em 0 0 auto;width:{style.BOX + 1.25}em;position:relative;z-index:4}}"
             f'{row} div:has(>p>label[for="{box}"]){{display:none}}'
-            f"{row} input{{min-height:1.875em;height:1.875em;padding:.375em;letter-spacing:-.5px}}"
+            f"{row} input{{min-height:1.875em!important;height:1.875em!important}}"
+            f"{row} input{{padding:.375em;letter-spacing:-.5px}}"
         )
 
 

@@ -12,6 +12,15 @@ def number_text(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
+def written(value: float) -> str:
+    """The same for reading only: 10⁻⁶, 2.5·10⁻⁷."""
+    digits, e, power = number_text(value).partition("e")
+    if not e:
+        return digits
+    ten = f"10{str(int(power)).translate(SUPERSCRIPT)}"
+    return {"1": ten, "-1": f"-{ten}"}.get(digits, f"{digits}·{ten}")
+
+
 def short(value: float) -> str:
     """For the end of a small scale: 10k, 0.02, 10⁻⁶."""
     if value >= 1000:

@@ -42,9 +42,7 @@ class Framing:
         self.offsets = np.outer(steps, self._right)
         self._target = (self._low + self._high) / 2
         height = self._high[2] - self._low[2]
-        self.label_place = np.array(
-            [*mesh.vertices.mean(axis=0)[:2], self._high[2] + 0.17 * max(height, self._width)]
-        )
+        self.label_place = np.array([*middle(mesh)[:2], self._high[2] + 0.17 * max(height, self._width)])
         self.bar = 0.45 * self._width * self._right
         self.floor = self._floor(scene, max(height, self._width))
 
@@ -77,6 +75,12 @@ class Framing:
             depth + 1.03 * np.maximum(np.abs(across) / (tangent * aspect), np.abs(above) / tangent)
         )
         return self._target + self._toward * distance, self._target
+
+
+def middle(mesh: Mesh) -> np.ndarray:
+    """(3,) middle [m] of where the cloth can be: half-way from its start to hanging straight down."""
+    start, below = mesh.vertices.mean(axis=0), hanging(mesh)
+    return (start + below.mean(axis=0)) / 2 if len(below) else start
 
 
 def hanging(mesh: Mesh) -> np.ndarray:

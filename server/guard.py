@@ -18,13 +18,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import http
 import io
 import ipaddress
 import logging
 import socket
 import threading
+import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -37,6 +40,9 @@ Check = Callable[[Any], Any]
 
 MAX_MESSAGE = 2**20
 """Largest message [bytes] taken from a client; a control's value needs a few hundred."""
+
+PORTS = 1000
+"""How many ports are tried before giving up, as viser does."""
 
 HANDLED = {
     messages.GuiUpdateMessage,
@@ -90,31 +96,73 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Guard]:
     Returns:
         The server, already listening (on another port than asked for where that one was taken: see
         `server.get_port()`), and the guard that its controls must be registered with.
+
+    Raises:
+        ValueError: if nothing can listen there; viser itself would wait for ever.
     """
+    port = free_port(host, port)
+    # A client may leave between being asked after and being sent its camera; nobody needs to hear of it.
+    warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
     with _construction, _checked_handshakes(), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="Muslin", verbose=False)
     return server, Guard(server)
 
 
+def free_port(host: str, port: int) -> int:
+    """The first port from `port` on that a server can listen on at `host`; ValueError if there is none."""
+    with ThreadPoolExecutor(1) as pool:  # the calling thread may have an event loop of its own
+        for candidate in range(port, min(port + PORTS, 65536)):
+            try:
+                pool.submit(asyncio.run, _listen_once(host, candidate)).result()
+            except (OSError, UnicodeError) as error:
+                if isinstance(error, OSError) and error.errno in (errno.EADDRINUSE, errno.EACCES):
+                    continue
+                why = getattr(error, "strerror", None) or str(error)
+                raise ValueError(f"--host {host}: cannot listen there: {why}") from None
+            return candidate
+    raise ValueError(f"--port {port}: neither this nor any of the next ports is free at {host}")
+
+
+async def _listen_once(host: str, port: int) -> None:
+    server = await asyncio.get_running_loop().create_server(asyncio.Protocol, host, port)
+    server.close()
+
+
 @contextlib.contextmanager
 def _checked_handshakes() -> Iterator[None]:
-    """While in force, servers that are started ask `refusal` before they answer a request."""
+    """While in force, servers that are started ask `refusal` before they answer a request.
+
+    A connection that sends garbage is closed with one line in the log.
+    """
     serve = websockets.asyncio.server.serve
 
-    def checked_serve(*args: Any, process_request: Callable, **options: Any):
+    def checked_serve(handler: Callable, *args: Any, process_request: Callable, **options: Any):
+        async def handle(connection: Any) -> None:
+            try:
+                await handler(connection)
+            except Exception as error:  # what a client sent; websockets would print a traceback
+                _report(error)
+                await connection.close(1007)
+
         def check_first(connection: Any, request: Any):
             reason = refusal(request.headers)
             if reason is None:
                 return process_request(connection, request)
             return connection.respond(http.HTTPStatus.FORBIDDEN, f"Refused: {reason}.\n")
 
-        return serve(*args, process_request=check_first, **{**options, "max_size": MAX_MESSAGE})
+        return serve(handle, *args, process_request=check_first, **{**options, "max_size": MAX_MESSAGE})
 
     websockets.asyncio.server.serve = checked_serve
     try:
         yield
     finally:
         websockets.asyncio.server.serve = serve
+
+
+def _report(error: object) -> None:
+    """Log a client's nonsense as one line; with its traceback for whoever asks for debug messages."""
+    trace = error if isinstance(error, Exception) and _log.isEnabledFor(logging.DEBUG) else None
+    _log.warning("a message from a page was dropped: %s", " ".join(repr(error).split())[:100], exc_info=trace)
 
 
 def handle_id(handle: Any) -> str:
@@ -140,6 +188,12 @@ class Guard:
             del handlers[kind]
         handlers[messages.GuiUpdateMessage] = [self._update]  # type: ignore[list-item]
         server.request_share_url = self._no_tunnel  # type: ignore[method-assign]
+        loop = self._wire._background_event_loop
+        assert loop is not None, "viser has started its loop by the time its server exists"
+        loop.call_soon_threadsafe(
+            loop.set_exception_handler,
+            lambda _, context: _report(context.get("exception") or context.get("message")),
+        )
 
     def watch(self, handle: Any, check: Check) -> None:
         """Let clients set `handle` to what `check` makes of their value; without it they cannot at all."""

@@ -220,7 +220,7 @@ class Lab:
         for i, meter in enumerate(meters):
             waiting = self._waiting or (self._lanes[i].waiting if self._lanes else "")
             self._stage.label(i, *label(self._comparison.name(i), meter, waiting, self._behind(meter)))
-        time = self._clock.time
+        time = max((meter.latest.time for meter in meters), default=0.0)  # finished; the clock may be ahead
         self._charts.add(time, meters, moved=time != self._charted)
         self._charted = time
         if now > self._noted + NOTE_FOR:
@@ -429,6 +429,7 @@ def run_lab(
 
     Raises:
         SceneError: if the scene cannot be used.
+        ValueError: if nothing can listen at that address.
     """
     done = threading.Event()
     lab = Lab(scene, host, port)

@@ -12,6 +12,9 @@ from server.palette import GROUND, INK, WHITE, Rgb
 LEFT_WIDTH, RIGHT_WIDTH = 300, 300
 """Of the docks [CSS px]."""
 
+LABEL, BOX, ROW = 7.5, 3.6, 1.90625
+"""Of a setting's row [em]: width of its label, width of the box beside a slider, height."""
+
 UNKNOWN = "–"
 """Stands for a number that has not been measured."""
 
@@ -34,6 +37,13 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
+        f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"
+        "p:has(>label){font-size:.8em!important;white-space:nowrap}"
+        f".mantine-Slider-root~.mantine-NumberInput-root{{width:{BOX}em!important}}"
+        ".mantine-Slider-root:is([data-disabled],:has([data-disabled]))~.mantine-NumberInput-root"
+        "{pointer-events:none}"
+        ".mantine-Slider-root:is([data-disabled],:has([data-disabled]))~.mantine-NumberInput-root input"
+        "{background:#f1f3f5;color:#6f6f6f}"
         f"{bare}{control_rules}</style>"
     )
 

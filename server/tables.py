@@ -7,9 +7,15 @@ from html import escape
 from typing import Any
 
 from server import style
-from server.digits import number_text
+from server.digits import written
 from server.meter import Meter
 from server.palette import VARIANTS
+
+NOTHING = 1e-12
+"""Energy [J] that rounding alone makes."""
+
+SLIGHT = 1e-9
+"""The same as a share of the largest energy beside it."""
 
 
 def update(handle: Any, content: str) -> None:
@@ -53,16 +59,23 @@ def energy_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     """Every kind of energy, a column for each variant."""
     kinds = dict.fromkeys(k for m in meters for k in m.latest.energy)
     head = "".join(f"<th>{style.chip(VARIANTS[i])}{escape(n)}</th>" for i, n in enumerate(names))
+    largest = max((abs(e) for m in meters for e in m.latest.energy.values()), default=0.0)
+    floor = max(NOTHING, SLIGHT * largest)
     rows = []
     for kind in kinds:
         cells = "".join(
-            f"<td>{number_text(m.latest.energy[kind])}</td>"
+            f"<td>{energy_text(m.latest.energy[kind], floor)}</td>"
             if kind in m.latest.energy
             else f"<td>{style.UNKNOWN}</td>"
             for m in meters
         )
         rows.append(f'<tr><td class="dim">{escape(kind)}</td>{cells}</tr>')
     return f'<div class="muslin"><table><tr><th></th>{head}</tr>{"".join(rows)}</table></div>' if rows else ""
+
+
+def energy_text(energy: float, floor: float) -> str:
+    """An energy [J], or 0 where it is smaller than what means anything."""
+    return "0" if abs(energy) < floor else written(energy)
 
 
 def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:

@@ -2,6 +2,7 @@
 
 import http.client
 import logging
+import socket
 
 import pytest
 import viser
@@ -108,6 +109,20 @@ def test_other_servers_of_the_process_are_left_alone():
     plain.stop()
 
 
+@pytest.mark.parametrize("host", ["999.1.1.1", "192.0.2.1", "a..b"])
+def test_address_that_cannot_be_listened_at_is_refused_at_once(host):
+    with pytest.raises(ValueError, match=f"^--host {host}: cannot listen there: "):
+        guard.open_server(host, 0)
+
+
+def test_last_port_taken_is_refused_and_not_waited_for():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 65535))
+        taken.listen()
+        with pytest.raises(ValueError, match="--port 65535"):
+            guard.open_server("127.0.0.1", 65535)
+
+
 def settle(client):
     """Until everything sent before has been handled: a last, harmless change has come through."""
     uuid = client.find("speed")
@@ -186,10 +201,11 @@ def test_greyed_control_cannot_be_set(lab, client):
 
 
 @pytest.mark.parametrize("data", ["text", b"", b"\xff\xfe", b"\x80", b"\x81\xa4type\xa7Nothing"])
-def test_garbage_ends_its_own_connection_only(lab, client, data):
+def test_garbage_ends_its_own_connection_only(lab, client, data, caplog):
     hostile = RawClient(lab.url)
     wait_until(lambda: hostile.controls)
     hostile.send_bytes(data)
     uuid = client.find("damping ratio γ")
     client.set(uuid, 0.5)
     wait_until(lambda: lab.comparison.shared.gamma == 0.5)
+    assert not [record for record in caplog.records if record.exc_info]

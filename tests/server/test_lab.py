@@ -35,6 +35,22 @@ def test_bench_stands_still_until_somebody_looks(lab):
     assert times(lab) == stopped
 
 
+def test_plots_end_with_the_newest_frame_after_a_pause(lab, client, monkeypatch):
+    plotted = [0.0]
+    add = lab._charts.add
+
+    def note(time, meters, moved):
+        add(time, meters, moved)
+        plotted.append(time if moved else plotted[-1])
+
+    monkeypatch.setattr(lab._charts, "add", note)
+    wait_until(lambda: times(lab)[0] > 0.1)
+    press(client, "run", "❚❚ Pause")
+    wait_until(lambda: not lab._playing and not any(lane.busy for lane in lab._lanes))
+    wait_until(lambda: plotted[-1] == max(times(lab)))
+    assert plotted == sorted(plotted)
+
+
 def test_nothing_is_published_with_no_client(lab, client, monkeypatch):
     wait_until(lambda: times(lab)[0] > 0.1)
     shown = []
