@@ -12,6 +12,9 @@ from sim.scene import Box, Capsule, Plane, Scene, Sphere
 GAP = 0.04
 """Room between neighbours, as a share of the scene's own width."""
 
+SLENDER = 0.5
+"""Least width of a variant's place, as a share of its height: a strip needs room to curl, its label too."""
+
 DIRECTION = (0.25, -1.0, 0.42)
 """From what is looked at to the camera, where the scene's author says nothing."""
 
@@ -37,11 +40,11 @@ class Framing:
         self._right = np.cross([0.0, 0.0, 1.0], self._toward)
         self._right /= np.linalg.norm(self._right)
         across = points @ self._right
-        self._width = float(np.ptp(across))
+        height = self._high[2] - self._low[2]
+        self._width = max(float(np.ptp(across)), SLENDER * height)
         steps = (np.arange(count) - (count - 1) / 2) * self._width * (1 + GAP)
         self.offsets = np.outer(steps, self._right)
         self._target = (self._low + self._high) / 2
-        height = self._high[2] - self._low[2]
         self.label_place = np.array([*middle(mesh)[:2], self._high[2] + 0.17 * max(height, self._width)])
         self.bar = 0.45 * self._width * self._right
         self.floor = self._floor(scene, max(height, self._width))
@@ -67,6 +70,8 @@ class Framing:
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         top = np.array([0.0, 0.0, self.label_place[2] + 0.15 * self._width - self._high[2]])
         points = self._low + corners * (self._high + top - self._low)
+        sides = self._target + np.outer([-0.5, 0.5], self._width * self._right)
+        points = np.concatenate([points, sides])
         points = (points[None] + self.offsets[:, None]).reshape(-1, 3) - self._target
         up = np.cross(self._toward, self._right)
         depth, across, above = points @ self._toward, points @ self._right, points @ up

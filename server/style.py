@@ -12,7 +12,7 @@ from server.palette import GROUND, INK, WHITE, Rgb
 LEFT_WIDTH, RIGHT_WIDTH = 300, 300
 """Of the docks [CSS px]."""
 
-LABEL, BOX, ROW = 7.5, 3.6, 1.90625
+LABEL, BOX, ROW = 7.7, 3.6, 1.90625
 """Of a setting's row [em]: width of its label, width of the box beside a slider, height."""
 
 UNKNOWN = "–"
@@ -38,7 +38,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
         f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"
-        "p:has(>label){font-size:.8em!important;white-space:nowrap}"
+        "p:has(>label){font-size:.8em!important}p>label{white-space:nowrap}"
         f".mantine-Slider-root~.mantine-NumberInput-root{{width:{BOX}em!important}}"
         ".mantine-Slider-root:is([data-disabled],:has([data-disabled]))~.mantine-NumberInput-root"
         "{pointer-events:none}"

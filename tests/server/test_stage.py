@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fake_world import SCENE
 
-from server.framing import Framing
+from server.framing import Framing, hanging
 from server.shapes import obstacle_mesh, quaternion, standing
 from sim import load_scene
 from sim.mesh import build_mesh
@@ -68,3 +68,13 @@ def test_variants_stand_from_left_to_right_and_apart():
     right = np.cross(target - position, [0.0, 0.0, 1.0])
     across = framing.offsets @ (right / np.linalg.norm(right))
     assert (np.diff(across) >= 1.0).all()
+
+
+def test_strip_that_is_seen_edge_on_has_room_for_its_label_above_it():
+    scene = load_scene("strip")
+    mesh = build_mesh(scene)
+    framing = Framing(scene, mesh, 2)
+    assert np.linalg.norm(np.diff(framing.offsets, axis=0)) >= 0.5 * np.ptp(mesh.vertices[:, 2])
+    low, high = np.sort([mesh.vertices.mean(axis=0), hanging(mesh).mean(axis=0)], axis=0)
+    assert (low[:2] - 1e-9 <= framing.label_place[:2]).all()
+    assert (framing.label_place[:2] <= high[:2] + 1e-9).all()
