@@ -10,12 +10,13 @@ triangles.
 from __future__ import annotations
 
 import itertools
+import math
 
 import fcl
 import numpy as np
 
 from sim.mesh import Mesh
-from sim.rotation import rotation_matrix
+from sim.placement import pose
 from sim.scene import Box, Obstacle, Plane, Scene, Sphere
 
 TOUCH = 1e-6
@@ -91,35 +92,17 @@ def _solid(obstacle: Obstacle) -> fcl.CollisionObject:
     if isinstance(obstacle, Plane):
         normal, point = _plane_now(obstacle)
         return fcl.CollisionObject(fcl.Halfspace(normal, float(normal @ point)), fcl.Transform())
-    position, turn = _placement(obstacle)
+    position, rotation = pose(obstacle, 0.0)
     if isinstance(obstacle, Sphere):
-        return fcl.CollisionObject(fcl.Sphere(obstacle.radius), fcl.Transform(turn, position))
-    if isinstance(obstacle, Box):
-        return fcl.CollisionObject(fcl.Box(*obstacle.size), fcl.Transform(turn, position))
-    axis = np.subtract(obstacle.end, obstacle.start)
-    capsule = fcl.Capsule(obstacle.radius, float(np.linalg.norm(axis)))
-    return fcl.CollisionObject(capsule, fcl.Transform(turn @ _from_z_to(axis), position))
-
-
-def _placement(obstacle: Obstacle) -> tuple[np.ndarray, np.ndarray]:
-    """Position of the reference point and rotation at time 0, when no path has gone beyond its first key."""
-    first = obstacle.path[0] if obstacle.path else None
-    position = obstacle.reference if first is None or first.position is None else first.position
-    return np.asarray(position, dtype=float), rotation_matrix(first.rotation if first else (0.0, 0.0, 0.0))
+        shape = fcl.Sphere(obstacle.radius)
+    elif isinstance(obstacle, Box):
+        shape = fcl.Box(*obstacle.size)
+    else:
+        shape = fcl.Capsule(obstacle.radius, math.dist(obstacle.start, obstacle.end))
+    return fcl.CollisionObject(shape, fcl.Transform(rotation, position))
 
 
 def _plane_now(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
     """Unit normal and a point of the plane at time 0."""
-    point, turn = _placement(plane)
-    normal = turn @ np.asarray(plane.normal)
-    return normal / np.linalg.norm(normal), point
-
-
-def _from_z_to(axis: np.ndarray) -> np.ndarray:
-    """A rotation that takes z to `axis`; any will do for a body that is round about it."""
-    x, y, z = axis / (np.linalg.norm(axis) or 1.0)
-    sine = float(np.hypot(x, y))
-    if sine < 1e-12:  # along z either way, and a capsule has two equal ends
-        return np.eye(3)
-    angle = np.arctan2(sine, z)
-    return rotation_matrix((-y / sine * angle, x / sine * angle, 0.0))
+    point, rotation = pose(plane, 0.0)
+    return rotation[:, 2].copy(), point

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compiled import Vec3, dot, inner, norm, scale
-from sim.rotation import rotation_matrix
-from sim.scene import Box, Capsule, Key, Plane, Scene, Sphere
+from sim.placement import pose
+from sim.scene import Box, Obstacle, Plane, Scene, Sphere
 
 SPHERE, PLANE, BOX, CAPSULE = range(4)
 
@@ -44,62 +44,27 @@ class Obstacles:
         self.parts = scene.obstacle
         described = [_describe(part) for part in self.parts]
         self.shapes = Shapes(
-            np.array([kind for kind, _, _ in described], dtype=np.int64),
-            np.array([size for _, size, _ in described], dtype=float).reshape(-1, 3),
+            np.array([kind for kind, _ in described], dtype=np.int64),
+            np.array([size for _, size in described], dtype=float).reshape(-1, 3),
         )
-        self._upright = [rotation for _, _, rotation in described]
 
     def poses(self, time: float) -> Poses:
         """Where every obstacle is at `time` [s]."""
         position, rotation = np.zeros((len(self.parts), 3)), np.zeros((len(self.parts), 3, 3))
         for o, part in enumerate(self.parts):
-            position[o], vector = _placement(part, time)
-            rotation[o] = rotation_matrix(vector) @ self._upright[o]
+            position[o], rotation[o] = pose(part, time)
         return Poses(position, rotation)
 
 
-def _describe(part: Sphere | Plane | Box | Capsule) -> tuple[int, tuple[float, float, float], np.ndarray]:
-    """Kind, size and the rotation that stands the shape up in the world."""
+def _describe(part: Obstacle) -> tuple[int, tuple[float, float, float]]:
     if isinstance(part, Sphere):
-        return SPHERE, (part.radius, 0.0, 0.0), np.eye(3)
+        return SPHERE, (part.radius, 0.0, 0.0)
     if isinstance(part, Plane):
-        return PLANE, (0.0, 0.0, 0.0), _turn_z_to(np.asarray(part.normal))
+        return PLANE, (0.0, 0.0, 0.0)
     if isinstance(part, Box):
         x, y, z = part.size
-        return BOX, (0.5 * x, 0.5 * y, 0.5 * z), np.eye(3)
-    axis = np.asarray(part.end) - np.asarray(part.start)
-    length = float(np.linalg.norm(axis))
-    return CAPSULE, (0.5 * length, part.radius, 0.0), _turn_z_to(axis) if length > 0.0 else np.eye(3)
-
-
-def _turn_z_to(axis: np.ndarray) -> np.ndarray:
-    z = axis / np.linalg.norm(axis)
-    x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (1.0, 0.0, 0.0), z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
-
-
-def _placement(part: Sphere | Plane | Box | Capsule, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Position of the reference point and rotation vector at `time`."""
-    if not part.path:
-        return np.asarray(part.reference), np.zeros(3)
-    keys = part.path
-    first, last = keys[0].time, keys[-1].time
-    if part.repeat and time > last:
-        time = first + math.fmod(time - first, last - first)
-    after = next((k for k, key in enumerate(keys) if key.time > time), len(keys))
-    if after == 0 or after == len(keys):
-        return _key(keys[max(after - 1, 0)], part.reference)
-    a, b = keys[after - 1], keys[after]
-    t = (time - a.time) / (b.time - a.time)
-    if part.motion == "smooth":
-        t = t * t * (3.0 - 2.0 * t)
-    (x0, r0), (x1, r1) = _key(a, part.reference), _key(b, part.reference)
-    return x0 + t * (x1 - x0), r0 + t * (r1 - r0)
-
-
-def _key(key: Key, reference: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(reference if key.position is None else key.position), np.asarray(key.rotation)
+        return BOX, (0.5 * x, 0.5 * y, 0.5 * z)
+    return CAPSULE, (0.5 * math.dist(part.start, part.end), part.radius, 0.0)
 
 
 @inner
