@@ -26,6 +26,12 @@ AXIS: Any = {"size": 40, "font": "10px sans-serif", "labelGap": 0, "gap": 2}
 X_AXIS: Any = {**AXIS, "size": 20}
 
 
+SCALES: Any = {"x": {"time": False}}
+"""Simulated seconds, not the time of day."""
+
+UNSEEN: Any = {"label": "", "stroke": "transparent", "width": 0}
+
+
 class Charts:
     """Plots of the last minute, made once for as many variants as there can be; the rest are hidden.
 
@@ -74,14 +80,13 @@ class Charts:
 class Plot:
     """A plot over simulated time, hidden until there is a line to draw."""
 
-    def __init__(self, server: viser.ViserServer, height: int, scales: dict):
+    def __init__(self, server: viser.ViserServer, height: int):
         self._server = server
-        self._scales = scales
         self._lines: list[Any] = [{"label": ""}]
         self._handle = server.gui.add_uplot(
             (np.zeros(1), np.zeros(1)),
             ({"label": "time"}, *self._lines),
-            scales=scales,
+            scales=SCALES,
             axes=(X_AXIS, AXIS),
             legend={"show": False},
             height=height,
@@ -93,16 +98,14 @@ class Plot:
         """Until there is something to be seen again."""
         self._handle.visible = False
 
-    def draw(self, columns: Any, lines: list[Any], scales: dict) -> None:
-        """Draw times and one column per line; what has not changed is not sent again."""
+    def draw(self, columns: Any, lines: list[Any]) -> None:
+        """Draw times and one column per line; lines that have not changed are not sent again."""
         if len(columns[0]) < 2:
             return
         with self._server.atomic():
             if lines != self._lines:
                 self._handle.series = ({"label": "time"}, *lines)
                 self._lines = lines
-            if scales != self._scales:
-                self._handle.scales = self._scales = scales
             self._handle.data = tuple(np.ascontiguousarray(column, dtype=float) for column in columns)
             if not self._handle.visible:
                 self._handle.visible = True
@@ -113,7 +116,7 @@ class CostPlot:
 
     def __init__(self, server: viser.ViserServer, color: Rgb):
         self._color = color
-        self._plot = Plot(server, COST_HEIGHT, {"x": {"time": False}})
+        self._plot = Plot(server, COST_HEIGHT)
         self._key = server.gui.add_html("")
         self.clear()
 
@@ -135,7 +138,11 @@ class CostPlot:
         return 1.3 * float(np.quantile(totals, 0.95)) if totals else 0.0
 
     def draw(self, ceiling: float) -> None:
-        """Draw the points, on the same scale as the other variants'."""
+        """Draw the points, cut off at `ceiling` [ms], on the same scale as the other variants'.
+
+        Lines that are not seen, at zero and at the ceiling, hold the scale: a scale that is set anew makes
+        the client build the whole plot again, and lose its place in time.
+        """
         phases = list(dict.fromkeys(p for values in self._values for p in values if p != "total"))
         gap = dict.fromkeys(phases, np.nan)  # where the variant stood still
         table = np.array([[(values or gap).get(p, 0.0) for p in phases] for values in self._values])
@@ -143,8 +150,9 @@ class CostPlot:
         tones = shades(self._color, len(phases))
         painted = reversed(list(zip(phases, tones, strict=True)))
         lines = [{"label": p, "stroke": t.css, "fill": t.css, "width": 1} for p, t in painted]
-        scales = {"x": {"time": False}, "y": {"range": (0.0, ceiling)}}
-        self._plot.draw((np.array(self._times), *sums), lines, scales)
+        times = np.array(self._times)
+        ends = [np.full(len(times), level) for level in (0.0, ceiling)]
+        self._plot.draw((times, *np.minimum(sums, ceiling), *ends), [*lines, UNSEEN, UNSEEN])
         last = self._values[-1]
         parts = (
             f"{style.chip(t)}{escape(p)} {last.get(p, 0.0):.1f}" for p, t in zip(phases, tones, strict=True)
@@ -158,7 +166,7 @@ class EnergyPlot:
     """All variants' total and kinetic energy over time."""
 
     def __init__(self, server: viser.ViserServer):
-        self._plot = Plot(server, ENERGY_HEIGHT, {"x": {"time": False}})
+        self._plot = Plot(server, ENERGY_HEIGHT)
         self._rows: deque[list[float]] = deque(maxlen=HISTORY)
 
     def clear(self) -> None:
@@ -176,7 +184,7 @@ class EnergyPlot:
             {"label": "kinetic", "stroke": c.css, "width": 1.3, "dash": [5, 4]}
             for c in VARIANTS[: len(meters)]
         ]
-        self._plot.draw(np.array(self._rows).T, [*solid, *dashed], {"x": {"time": False}})
+        self._plot.draw(np.array(self._rows).T, [*solid, *dashed])
 
 
 def total_energy(energy: Mapping[str, float]) -> float:
