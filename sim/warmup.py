@@ -14,7 +14,6 @@ from numba.core import event
 from sim.compiled import KERNELS
 from sim.scene import Scene
 from sim.simulation import Simulation
-from sim.springs import BENDING
 from sim.springs.build import kinds_in_force
 
 Progress = Callable[[int, int, str], None]
@@ -37,15 +36,6 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         Simulation(small).step()
     if progress is not None:
         progress(1, 1, "ready")
-
-
-def warm_up_rest() -> None:
-    """Compile what a change of settings may call for later: the other bending kinds, Newton's line search."""
-    cloth = {"kind": "grid", "size": [0.2, 0.2], "resolution": [3, 3], "pins": ["corner00"]}
-    world = Simulation({"cloth": cloth, "settings": {"newton": 2}})
-    for bend in BENDING:
-        world.update(bend=bend)
-        world.step()
 
 
 class _Watch(event.Listener):
