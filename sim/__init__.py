@@ -9,6 +9,7 @@ Numba and everything that needs it is imported when `Simulation` is first used, 
 scenes stays quick.
 """
 
+import importlib
 from importlib.metadata import PackageNotFoundError, version
 
 from sim.scene import Scene, SceneError, load_scene
@@ -19,12 +20,22 @@ try:
 except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
-__all__ = ["Scene", "SceneError", "Settings", "Simulation", "StepError", "StepReport", "load_scene"]
+_LATER = {
+    "Simulation": "sim.simulation",
+    "StepError": "sim.report",
+    "StepReport": "sim.report",
+    "EquilibriumError": "sim.equilibrium",
+    "equilibrium": "sim.equilibrium",
+    "modal_damping": "sim.ringdown",
+}
+"""Where to find what needs numba."""
+
+__all__ = ["Scene", "SceneError", "Settings", "__version__", "load_scene", *_LATER]  # pyright: ignore
 
 
 def __getattr__(name: str):
-    if name in ("Simulation", "StepError", "StepReport"):
-        from sim import simulation
-
-        return getattr(simulation, name)
-    raise AttributeError(f"module 'sim' has no attribute {name!r}")
+    if name not in _LATER:
+        raise AttributeError(f"module 'sim' has no attribute {name!r}")
+    found = getattr(importlib.import_module(_LATER[name]), name)
+    globals()[name] = found  # the module sim.equilibrium would take its function's place otherwise
+    return found

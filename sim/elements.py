@@ -2,11 +2,13 @@
 
     energy  ½ K (q − q0)²      force on node a  −s g_a,  s = K (q − q0) + b q̇,   q̇ = Σ g_a·v_a − drift
     damping b = γ · 2 √(μ K),  1/μ = Σ |g_a|² / m_a
-    matrix  block(a, b) = along g_a g_bᵀ + across (g_a·g_b) I
+    matrix  block(a, b) = along g_a g_bᵀ + across (g_a·g_b) S
 
-The matrix is that of an implicit step h: M + h D + h² H has along = h b + h² (K − K_t) and across = h² K_t.
-K_t = K max(0, 1 − q0/q) is the stiffness across a length, clamped in compression so that every block is
-positive semi-definite (Choi and Ko 2002); a coordinate that is no length has K_t = 0 (Gauss–Newton).
+The matrix is that of an implicit step h: M + h D + h² H. Its exact form has along = h b + h² K, and on top of
+that h² K (q − q0) ∇²q (`sim.solve.system.add_curvature`). The filtered form, positive semi-definite in every
+element, keeps of ∇²q what tension makes stiff: K_t = K max(0, 1 − q0/q), clamped in compression (Choi and Ko
+2002). A length has it across its whole direction, S = I, so that along = h b + h² (K − K_t); a height only
+along the normal m of its triangle, S = mmᵀ; of other coordinates nothing is kept (Gauss–Newton).
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiled import corner, dot, kernel, row
+from sim.compiled import corner, dot, inner, kernel, row
+
+NONE, LENGTH, NORMAL = range(3)
+"""What S is: nothing, I, or mmᵀ with the unit vector m that the element's memory begins with."""
 
 
 class Elements(NamedTuple):
@@ -34,7 +39,7 @@ class Elements(NamedTuple):
         new_memory: (e, ·) what it will remember of this one if it is accepted.
         tension: (e,) s.
         along: (e,) factor of g gᵀ in the matrix.
-        across: (e,) factor of (g·g) I in the matrix.
+        across: (e,) factor of (g·g) S in the matrix.
     """
 
     nodes: np.ndarray
@@ -64,16 +69,34 @@ def make_elements(nodes: np.ndarray, memory: int) -> Elements:
 
 
 @kernel
-def set_damping(elements, inverse_masses, gamma):
-    """Fill b = γ · 2 √(μ K) from the present gradient; an element without mass or gradient gets none."""
+def set_damping(elements, inverse_masses, ratios):
+    """Fill b = γ · 2 √(μ K) from the present gradient; an element without mass or gradient gets none.
+
+    `ratios` is γ for all, shape (1, 2), or γ as a function of the element's frequency √(K/μ) [rad/s]: rows of
+    frequency, ascending, and γ, between which it is linear in the logarithm.
+    """
     for e in range(len(elements.q)):
         inverse = 0.0
         for a in range(elements.nodes.shape[1]):
             g = corner(elements.gradient, e, a)
             inverse += dot(g, g) * inverse_masses[elements.nodes[e, a]]
-        elements.damping[e] = (
-            2.0 * gamma * math.sqrt(elements.stiffness[e] / inverse) if inverse > 0.0 else 0.0
-        )
+        if inverse > 0.0 and elements.stiffness[e] > 0.0:
+            gamma = _ratio_at(ratios, math.sqrt(elements.stiffness[e] * inverse))
+            elements.damping[e] = 2.0 * gamma * math.sqrt(elements.stiffness[e] / inverse)
+        else:
+            elements.damping[e] = 0.0
+
+
+@inner
+def _ratio_at(ratios, frequency):
+    last = len(ratios) - 1
+    if frequency <= ratios[0, 0]:
+        return ratios[0, 1]
+    if frequency >= ratios[last, 0]:
+        return ratios[last, 1]
+    k = np.searchsorted(ratios[:, 0], frequency)
+    part = math.log(frequency / ratios[k - 1, 0]) / math.log(ratios[k, 0] / ratios[k - 1, 0])
+    return ratios[k - 1, 1] + part * (ratios[k, 1] - ratios[k - 1, 1])
 
 
 @kernel
@@ -88,14 +111,15 @@ def set_tension(elements, velocities):
 
 
 @kernel
-def set_matrix_factors(elements, h, is_length):
-    """Fill along and across for an implicit step of h [s]."""
+def set_matrix_factors(elements, h, bends):
+    """Fill along and across for an implicit step of h [s]; `bends` is one of NONE, LENGTH and NORMAL."""
     for e in range(len(elements.q)):
         across = 0.0
-        if is_length and elements.q[e] > elements.rest[e]:
+        if bends != NONE and elements.q[e] > elements.rest[e]:
             across = elements.stiffness[e] * (1.0 - elements.rest[e] / elements.q[e])
+        along = elements.stiffness[e] - across if bends == LENGTH else elements.stiffness[e]
         elements.across[e] = h * h * across
-        elements.along[e] = h * elements.damping[e] + h * h * (elements.stiffness[e] - across)
+        elements.along[e] = h * elements.damping[e] + h * h * along
 
 
 @kernel

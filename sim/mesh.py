@@ -49,6 +49,11 @@ class Mesh:
     given_masses: np.ndarray
     warnings: tuple[str, ...]
 
+    @property
+    def altitudes(self) -> np.ndarray:
+        """(3 m, 3) int32: apex, then the ends of the opposite edge; the three of each triangle in a row."""
+        return self.triangles[:, [[0, 1, 2], [1, 2, 0], [2, 0, 1]]].reshape(-1, 3)
+
 
 def build_mesh(scene: Scene) -> Mesh:
     """The mesh of all cloth of `scene`; raises SceneError for arrays or files that are no mesh."""

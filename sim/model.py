@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 
 from sim.contact.gap import GapSprings
-from sim.elements import elastic_energy, set_damping, set_matrix_factors, set_tension
+from sim.damping import damping_ratios
+from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, set_damping, set_matrix_factors, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
 from sim.solve.multiscale import build_preconditioner
-from sim.solve.system import add_elements, add_forces, build_system, reset
+from sim.solve.system import add_curvature, add_elements, add_forces, build_system, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
+
+BENDS = {"none": NONE, "length": LENGTH, "normal": NORMAL}
 
 
 class Model:
@@ -27,6 +30,7 @@ class Model:
         springs: one per kind in force.
         matrix: A, filled by `linearise`.
         preconditioner: of A, refreshed for each solve.
+        damping_ratios: γ over frequency, as `set_damping` reads it.
     """
 
     def __init__(self, mesh: Mesh, settings: Settings) -> None:
@@ -36,6 +40,7 @@ class Model:
         self.free = np.ones(n, dtype=bool)
         self.free[mesh.pinned] = False
         self._forces = np.zeros((n, 3))
+        self.damping_ratios = damping_ratios(settings)
         self._set_masses()
         self._set_springs()
 
@@ -50,6 +55,9 @@ class Model:
             self.remember(positions, [s for s in self.springs if s.name not in known])
         for springs in self.springs:
             springs.apply(settings)
+        self.measure(positions)
+        self.choose()
+        self.damping_ratios = damping_ratios(settings)
 
     def _set_masses(self) -> None:
         self.masses = vertex_masses(self.mesh, self.settings.mass, self.settings.density)
@@ -70,20 +78,41 @@ class Model:
         self.preconditioner = build_preconditioner(self.mesh, self.free, self.matrix)
 
     def linearise(
-        self, positions: np.ndarray, velocities: np.ndarray, contacts: GapSprings, h: float
+        self,
+        positions: np.ndarray,
+        velocities: np.ndarray,
+        contacts: GapSprings,
+        h: float,
+        exact: bool = False,
     ) -> np.ndarray:
-        """Fill the matrix M + h D + h² H at `positions` and return the forces (n, 3) [N] there."""
+        """Fill the matrix M + h D + h² H at `positions` and return the forces (n, 3) [N] there.
+
+        H is filtered, so that the matrix is positive definite, or it is the `exact` Hessian.
+        """
         self.measure(positions)
         self._forces[:] = self.masses[:, None] * np.asarray(self.settings.gravity)
         reset(self.matrix, self.masses)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
-            set_damping(springs.elements, self.inverse_masses, self.settings.gamma)
-            set_tension(springs.elements, velocities)
-            set_matrix_factors(springs.elements, h, springs.kind.is_length)
-            add_elements(springs.elements, gather, self.matrix)
-            add_forces(springs.elements, gather, self._forces)
+            elements = springs.elements
+            self._tense(springs, velocities)
+            curvature = springs.curvature(positions) if exact else None
+            bends = NONE if curvature is not None else BENDS[springs.kind.bends]
+            set_matrix_factors(elements, h, bends)
+            add_elements(elements, gather, bends, self.matrix)
+            if curvature is not None:
+                add_curvature(elements, gather, curvature, h, self.matrix)
+            add_forces(elements, gather, self._forces)
         contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
+
+    def _tense(self, springs: Springs, velocities: np.ndarray) -> None:
+        set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
+        set_tension(springs.elements, velocities)
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the springs' forces are the gradient of an energy."""
+        return not any(springs.kind.wrong for springs in self.springs)
 
     def untouched(self, touching: np.ndarray) -> np.ndarray:
         """(pieces,) bool: pieces without a pinned vertex and without any of the vertices `touching`."""
@@ -97,10 +126,13 @@ class Model:
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
-            set_damping(springs.elements, self.inverse_masses, self.settings.gamma)
-            set_tension(springs.elements, velocities)
+            self._tense(springs, velocities)
             add_forces(springs.elements, gather, forces)
         return forces
+
+    def accelerations(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+        """(n, 3) forces over masses [m/s²], zero for pinned vertices."""
+        return self.inverse_masses[:, None] * self.forces(positions, velocities)
 
     def energies(self, positions: np.ndarray) -> dict[str, float]:
         """Potential energy [J] of gravity (zero at the origin) and of each spring kind."""
@@ -117,17 +149,35 @@ class Model:
         for springs in self.springs:
             springs.measure(positions)
 
-    def remember(self, positions: np.ndarray, springs: list[Springs] | None = None) -> None:
-        """Accept `positions`: what the coordinates remember of them is kept for the next step."""
+    def remember(self, positions: np.ndarray, springs: list[Springs] | None = None) -> tuple[int, float]:
+        """Accept `positions`: what the coordinates remember of them is kept, and kinds choose who acts next.
+
+        Returns:
+            How many elements began or ceased to act, and the energy [J] that this put in.
+        """
         for s in self.springs if springs is None else springs:
             s.measure(positions)
             s.elements.memory[:] = s.elements.new_memory
+        return self.choose()
+
+    def forget(self, positions: np.ndarray) -> None:
+        """Start anew at `positions` (n, 3), with nothing remembered but them."""
+        for s in self.springs:
+            s.elements.memory[:] = 0.0
+        self.remember(positions)
+
+    def choose(self) -> tuple[int, float]:
+        """Let each kind choose, from what was last measured, which of its elements act; as `remember`."""
+        changes = [springs.choose(self.settings) for springs in self.springs]
+        return sum(count for count, _ in changes), sum(energy for _, energy in changes)
 
     def memory(self) -> dict[str, np.ndarray]:
         """A copy of what the coordinates remember, by kind."""
         return {s.name: s.elements.memory.copy() for s in self.springs}
 
-    def restore_memory(self, memory: dict[str, Any]) -> None:
-        """Put back what `memory` returned."""
+    def restore_memory(self, memory: dict[str, Any], positions: np.ndarray) -> None:
+        """Put back what `memory` returned at `positions` (n, 3)."""
         for s in self.springs:
             s.elements.memory[:] = memory[s.name]
+        self.measure(positions)
+        self.choose()

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from sim.integrators import INTEGRATORS
 from sim.springs import BENDING
 
 
@@ -30,10 +31,16 @@ def number(
     label: str = "",
     formula: str = "",
     cost: str = "",
+    ramps: bool = False,
 ) -> Meta:
-    """The bounds and the words of a numeric setting; `slider` is the useful part of the allowed range."""
+    """The bounds and the words of a numeric setting.
+
+    `slider` is the useful part of the allowed range; a setting that `ramps` goes over to a new value in
+    several steps, as it would jerk the cloth otherwise.
+    """
     extra = {"unit": default_unit, "group": group, "scale": scale, "slider": slider, "label": label}
-    return Meta(ge=ge, le=le, description=description, extra={**extra, "formula": formula, "cost": cost})
+    more = {"formula": formula, "cost": cost, "ramps": ramps}
+    return Meta(ge=ge, le=le, description=description, extra={**extra, **more})
 
 
 def choice(
@@ -84,6 +91,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             label="rest angle θ₀",
             formula="q₀ = q(rest hinge folded to θ₀)",
             cost="free",
+            ramps=True,
         ),
     ] = 0.0
     stretch: Annotated[
@@ -99,6 +107,37 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             label="stretch stiffness",
             formula="E = ½ (k / l₀) (l − l₀)²",
             cost="stiffer cloth needs more solver iterations",
+            ramps=True,
+        ),
+    ] = 50.0
+    altitudes: Annotated[
+        Literal["none", "shortest", "all"],
+        choice(
+            "Cloth",
+            "Springs along the heights of each triangle, which keep it from collapsing.",
+            choices=lambda: {
+                "none": "edges alone hold the triangles",
+                "shortest": "one per triangle, on its longest edge; chosen every step, and energy jumps",
+                "all": "all three",
+            },
+            label="altitude springs",
+            cost="all three cost about as much as the edge springs",
+        ),
+    ] = "none"
+    altitude: Annotated[
+        float,
+        number(
+            "N",
+            "Cloth",
+            "Stiffness k of the altitude springs; the spring constant is k divided by the height at rest.",
+            ge=0.0,
+            le=1e8,
+            scale="log",
+            slider=(1.0, 1e4),
+            label="altitude stiffness",
+            formula="E = ½ (k / h₀) (h − h₀)²",
+            cost="stiffer cloth needs more solver iterations",
+            ramps=True,
         ),
     ] = 50.0
     bend: Annotated[
@@ -108,9 +147,23 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             "Which coordinate of a hinge resists bending.",
             choices=lambda: {"none": "no bending resistance"} | {k: v.summary for k, v in BENDING.items()},
             label="bending spring",
-            cost="angle springs couple all four vertices of a hinge, cross springs two",
+            cost="angle and modified springs couple all four vertices of a hinge, cross springs two",
         ),
     ] = "angle"
+    adhoc_rule: Annotated[
+        Literal["tips", "half", "lever"],
+        choice(
+            "Cloth",
+            "How ad-hoc angle springs, which are wrong on purpose, turn an angle into forces.",
+            choices=lambda: {
+                "tips": "along the normals, on the tips alone: a net force and a net torque",
+                "half": "and half of it back on each end of the shared edge: a net torque",
+                "lever": "the right forces on the tips, but half back on each end: a net torque",
+            },
+            label="ad-hoc rule",
+            cost="the same",
+        ),
+    ] = "tips"
     bending: Annotated[
         float,
         number(
@@ -125,6 +178,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             label="bending stiffness",
             formula="E = ½ c w (θ − θ₀)², w = |e| / (h₁ + h₂)",
             cost="free unless very stiff",
+            ramps=True,
         ),
     ] = 1e-4
     mass: Annotated[
@@ -205,15 +259,30 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         ),
     ] = 0.3
     integrator: Annotated[
-        Literal["backward_euler"],
-        choice("Solver", "Time integration method.", label="integrator"),
+        str,
+        choice(
+            "Solver",
+            "Time integration method. A step that feels a contact is always backward Euler, or explicit.",
+            choices=lambda: {name: integrator.summary for name, integrator in INTEGRATORS.items()},
+            label="integrator",
+            cost="SDIRK2 and TR-BDF2 solve twice per step, the explicit one never",
+        ),
     ] = "backward_euler"
+    compensate: Annotated[
+        Literal["off", "on"],
+        choice(
+            "Solver",
+            "Take off the damping ratio of each spring what the integrator damps it by itself.",
+            label="compensate for the integrator's damping",
+            cost="free",
+        ),
+    ] = "off"
     dt: Annotated[
         float,
         number(
             "s",
             "Solver",
-            "Time step h. Backward Euler adds a damping of its own of about h ω / 2.",
+            "Time step h. Backward Euler adds a damping ratio of its own of about h ω / 2.",
             ge=1e-6,
             le=1.0,
             scale="log",
@@ -236,6 +305,19 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="each one is an assembly and a linear solve",
         ),
     ] = 1
+    solver: Annotated[
+        Literal["cg", "direct"],
+        choice(
+            "Solver",
+            "How the linear systems of a step are solved.",
+            choices=lambda: {
+                "cg": "conjugate gradients, to the tolerance",
+                "direct": "a sparse factorisation, to rounding",
+            },
+            label="linear solver",
+            cost="direct is faster on small cloth and stiff chains, and far slower on large cloth",
+        ),
+    ] = "cg"
     tolerance: Annotated[
         float,
         number(
@@ -302,6 +384,7 @@ class Field:
     minimum: float | None = None
     maximum: float | None = None
     slider: tuple[float, float] | None = None
+    ramps: bool = False
     choices: Callable[[], dict[str, str]] | None = None
 
     @property
@@ -341,7 +424,7 @@ def _field(name: str, annotation: Any, default: Any) -> Field:
     base, meta = typing.get_args(annotation)
     extra = dict(meta.extra)
     choices = extra.pop("choices", None)
-    if typing.get_origin(base) is Literal:
+    if typing.get_origin(base) is Literal and choices is None:
         closed = dict.fromkeys(typing.get_args(base), "")
         choices = lambda: closed  # noqa: E731
     kind = "choice" if choices else {float: "number", int: "integer"}.get(base, "vector")

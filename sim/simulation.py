@@ -6,96 +6,39 @@ it was. The same scene, settings and seed give the same bits, on any number of t
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sim.contact.detect import NO_CONTACTS, Contacts, deepest, detect
-from sim.contact.friction import rub
-from sim.contact.gap import GapSprings, gap_springs
-from sim.contact.obstacles import Obstacles, Poses
-from sim.contact.response import RESPONSES, lacks, push_out, targets
+from sim.contact.pipeline import Pipeline
+from sim.effects import effects
+from sim.integrators import INTEGRATORS, State
 from sim.mesh import build_mesh
 from sim.model import Model
+from sim.ramp import Ramp
+from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
-from sim.solve.implicit import Solution, SolveError, backward_euler
+from sim.solve.implicit import Solution, SolveError
+from sim.solve.stability import longest_step
+from sim.solve.stepping import take_step
 from sim.threads import processor_threads
-
-MOST_SOLVES = 3
-"""Solves of one step at most: one more where a solve led vertices into contacts that it did not feel."""
 
 FASTEST = 1e6
 """A step that ends with a vertex faster than this [m/s] is refused: it has blown up."""
-
-
-class StepError(RuntimeError):
-    """A step that could not be done; the state is as it was before.
-
-    Attributes:
-        phase: Where it failed: "detect", "solve" or "respond".
-        setting: The setting most likely to blame.
-    """
-
-    def __init__(self, reason: str, phase: str, setting: str) -> None:
-        super().__init__(f"{phase}: {reason}; the likeliest setting to blame is {setting}")
-        self.phase = phase
-        self.setting = setting
-
-
-@dataclass
-class StepReport:
-    """What one step did.
-
-    Attributes:
-        ms: Milliseconds by phase, and "total".
-        iterations: Of the linear solver.
-        newton: Newton iterations.
-        residual: Estimated mass-weighted position error that the last linear solve left [m].
-        converged: Whether the solver reached the tolerance.
-        contacts: Contacts that detection found.
-        penetrations: Vertices inside an obstacle at the end of the step.
-        deepest: How far the deepest of them is inside [m].
-        substeps: Parts that the step was done in.
-        effects: Each effect and whether it ran, or why not.
-        energy_injected: By changes of settings since the step before [J].
-    """
-
-    ms: dict[str, float] = field(default_factory=dict)
-    iterations: int = 0
-    newton: int = 0
-    residual: float = 0.0
-    converged: bool = True
-    contacts: int = 0
-    penetrations: int = 0
-    deepest: float = 0.0
-    substeps: int = 1
-    effects: dict[str, str] = field(default_factory=dict)
-    energy_injected: float = 0.0
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Add the time that the block takes to `ms[name]` and to the total."""
-        begin = time.perf_counter()
-        yield
-        took = 1e3 * (time.perf_counter() - begin)
-        self.ms[name] = self.ms.get(name, 0.0) + took
-        self.ms["total"] = self.ms.get("total", 0.0) + took
 
 
 @dataclass(frozen=True)
 class Snapshot:
     """Everything that decides how a simulation goes on, to the bit."""
 
-    settings: Settings
+    ramp: Ramp
     time: float
     positions: np.ndarray
     velocities: np.ndarray
+    previous: State | None
     pressed: np.ndarray
     slip: np.ndarray
     memory: dict[str, np.ndarray]
@@ -116,26 +59,26 @@ class Simulation:
 
     def __init__(self, scene: Scene | str | Path | dict[str, Any], **overrides: Any) -> None:
         self.scene = load_scene(scene)
-        self._settings = change(self.scene.settings, **overrides)
+        self._ramp = Ramp.done(change(self.scene.settings, **overrides))
         self.mesh = build_mesh(self.scene)
-        self.obstacles = Obstacles(self.scene)
-        self.model = Model(self.mesh, self._settings)
+        self.model = Model(self.mesh, self.settings)
+        self.contact = Pipeline(self.scene, self.model)
         self._positions = self._start()
         self._velocities = np.zeros_like(self._positions)
-        self._pressed = np.zeros((len(self._positions), len(self.scene.obstacle)))
-        self._slip = np.zeros_like(self._pressed)
+        self._previous: State | None = None
         self._time = 0.0
         self._injected = 0.0
-        self.model.remember(self._positions)
+        self._limit: float | None = None
+        self.model.forget(self._positions)
 
     def _start(self) -> np.ndarray:
-        noise = np.random.default_rng(self._settings.seed).standard_normal(self.mesh.vertices.shape)
-        return self.mesh.vertices + self._settings.jitter * noise * self.model.free[:, None]
+        noise = np.random.default_rng(self.settings.seed).standard_normal(self.mesh.vertices.shape)
+        return self.mesh.vertices + self.settings.jitter * noise * self.model.free[:, None]
 
     @property
     def settings(self) -> Settings:
-        """The settings in force. Immutable; `update` replaces them."""
-        return self._settings
+        """The settings that hold, or that are gone over to. Immutable; `update` replaces them."""
+        return self._ramp.target
 
     @property
     def time(self) -> float:
@@ -196,41 +139,81 @@ class Simulation:
 
         The rotation takes the obstacle's own frame to the world: a plane's normal and a capsule's axis are z.
         """
-        poses = self.obstacles.poses(self._time)
+        poses = self.contact.obstacles.poses(self._time)
         return list(zip(poses.position, poses.rotation, strict=True))
+
+    def stability_limit(self) -> float:
+        """The longest step [s] for which symplectic Euler is stable about the present state."""
+        return longest_step(self.model, self._positions)
 
     def update(self, **changes: Any) -> None:
         """Change settings while running; positions and velocities stay, and so does everything on an error.
 
+        Stiffnesses and the rest angle of cloth that has moved go over to their new values within a tenth of
+        a second. The energy that changes put in is booked in the report of the step that it acts in.
+
         Raises:
             ValueError: names field, value and bounds.
         """
-        settings = change(self._settings, **changes)
+        settings = change(self.settings, **changes)
+        self._go_over(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings))
+        self._previous = self._limit = None
+
+    def _go_over(self, ramp: Ramp) -> None:
+        """Put the settings of `ramp` in force, and book the energy that this puts in."""
         before = sum(self.energy().values())
-        self.model.apply(settings, self._positions)
-        self._settings = settings
+        self.model.apply(ramp.settings, self._positions)
+        self._ramp = ramp
         self._injected += sum(self.energy().values()) - before
+
+    def place(self, positions: np.ndarray, velocities: np.ndarray | None = None) -> None:
+        """Put the cloth elsewhere, at time zero and with no past; pinned vertices stay pinned where they are put.
+
+        Args:
+            positions: (n, 3) [m].
+            velocities: (n, 3) [m/s], zero where left out; those of pinned vertices count as zero.
+
+        Raises:
+            ValueError: for arrays of another shape, or with numbers that are not finite.
+        """
+        new = [np.array(positions, dtype=float)]
+        new.append(np.zeros_like(new[0]) if velocities is None else np.array(velocities, dtype=float))
+        for name, array in zip(("positions", "velocities"), new, strict=True):
+            if array.shape != self._positions.shape or not np.isfinite(array).all():
+                raise ValueError(f"{name}: expected finite numbers of shape {self._positions.shape}")
+        self._positions, self._velocities = new[0], np.where(self.model.free[:, None], new[1], 0.0)
+        self._time = 0.0
+        self._previous = self._limit = None
+        self.contact.forget()
+        self.model.forget(self._positions)
+
+    def stop(self) -> None:
+        """Take all velocity off the cloth."""
+        self._velocities = np.zeros_like(self._velocities)
+        self._previous = None
 
     def snapshot(self) -> Snapshot:
         """The present state, for `restore`."""
         return Snapshot(
-            settings=self._settings,
+            ramp=self._ramp,
             time=self._time,
             positions=self._positions.copy(),
             velocities=self._velocities.copy(),
-            pressed=self._pressed.copy(),
-            slip=self._slip.copy(),
+            previous=self._previous,
+            pressed=self.contact.pressed.copy(),
+            slip=self.contact.slip.copy(),
             memory=self.model.memory(),
             injected=self._injected,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of this scene; from there the same bits follow."""
-        self.model.apply(snapshot.settings, snapshot.positions)
-        self._settings, self._time, self._injected = snapshot.settings, snapshot.time, snapshot.injected
+        self.model.apply(snapshot.ramp.settings, snapshot.positions)
+        self._ramp, self._time, self._injected = snapshot.ramp, snapshot.time, snapshot.injected
         self._positions, self._velocities = snapshot.positions.copy(), snapshot.velocities.copy()
-        self._pressed, self._slip = snapshot.pressed.copy(), snapshot.slip.copy()
-        self.model.restore_memory(snapshot.memory)
+        self._previous, self._limit = snapshot.previous, None
+        self.contact.pressed, self.contact.slip = snapshot.pressed.copy(), snapshot.slip.copy()
+        self.model.restore_memory(snapshot.memory, self._positions)
 
     def step(self) -> StepReport:
         """Advance by one time step of settings.dt.
@@ -238,145 +221,79 @@ class Simulation:
         Raises:
             StepError: where the step cannot be done; the state is as it was.
         """
-        report = StepReport(energy_injected=self._injected)
-        with processor_threads(self._settings.threads):
-            solution, poses, touch = self._advance(report)
+        report, ramp, injected = StepReport(), self._ramp, self._injected
+        try:
+            if not ramp.over:
+                self._go_over(ramp.after(self.settings.dt))
+            with processor_threads(self.settings.threads):
+                solution, touch = self._advance(report)
+        except StepError:
+            if ramp is not self._ramp:
+                self._go_over(ramp)
+                self._injected = injected
+            raise
+        report.energy_injected, self._injected = self._injected, 0.0
+        self._accept(solution, touch, report)
         with report.phase("report"):
             if self.scene.obstacle:
-                depths = np.zeros(len(self._positions))
-                deepest(self.obstacles.shapes, poses, solution.positions, depths)
+                depths = self.contact.depths(self._time, self._positions)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             report.effects = self._effects(report)
-        self._positions, self._velocities = solution.positions, solution.velocities
-        self._pressed, self._slip = touch
-        self._time += self._settings.dt
-        self._injected = 0.0
         return report
 
-    def _advance(self, report: StepReport) -> tuple[Solution, Poses, tuple[np.ndarray, np.ndarray]]:
-        """Where the state goes in one step, with the obstacles' poses and what `_respond` returns."""
-        h = self._settings.dt
-        before, after = self.obstacles.poses(self._time), self.obstacles.poses(self._time + h)
-        springs, solution, contacts = self._solve_with_contact(before, after, report)
-        with report.phase("respond"):
-            touch = self._respond(springs, contacts, solution)
+    def _advance(self, report: StepReport) -> tuple[Solution, tuple[np.ndarray, np.ndarray]]:
+        """Where the state goes in one step, and how hard it touches what."""
+
+        def solve(springs: Any) -> Solution:
+            way = self.settings, self._positions, self._velocities, self._previous
+            try:
+                solution, report.integrator = take_step(self.model, springs, *way)
+            except SolveError as error:
+                raise StepError(str(error), "solve", self._suspect()) from None
+            return solution
+
+        state = self.settings, self._time, self._positions, self._velocities
+        with np.errstate(over="ignore", invalid="ignore"):  # a step that blows up is refused below
+            solution, touch = self.contact.through(*state, solve, report)
         calm = np.isfinite(solution.positions) & (np.abs(solution.velocities) < FASTEST)
         if not calm.all():
             raise StepError("positions or velocities are beyond all bounds", "respond", self._suspect())
-        report.contacts = len(contacts.vertex)
         report.newton, report.converged = solution.newton, solution.converged
         report.residual = solution.residual
+        return solution, touch
+
+    def _accept(self, solution: Solution, touch: tuple[np.ndarray, np.ndarray], report: StepReport) -> None:
+        """Make the end of a step the present state."""
+        name = self.settings.integrator
+        smooth = INTEGRATORS[name].looks_back and report.integrator == name
+        self._previous = (self._positions, self._velocities) if smooth else None
+        self._positions, self._velocities = solution.positions, solution.velocities
+        self.contact.pressed, self.contact.slip = touch
+        self._time += self.settings.dt
         with report.phase("report"):
-            self.model.remember(solution.positions)
-        return solution, after, touch
-
-    def _solve_with_contact(
-        self, before: Poses, after: Poses, report: StepReport
-    ) -> tuple[GapSprings, Solution, Contacts]:
-        """Solve with contacts on the way that vertices would take by themselves, then on their real way."""
-        h, free = self._settings.dt, self.model.free[:, None]
-        end = self._positions + h * (self._velocities + h * np.asarray(self._settings.gravity) * free)
-        solves = 0
-        while True:
-            with report.phase("detect"):
-                springs = self._gap_springs(self._detect(before, after, end), end)
-            with report.phase("solve"):
-                solution = self._solve(springs)
-            with report.phase("detect"):
-                contacts = self._detect(before, after, solution.positions)
-                late = self._late(contacts, springs, solution.positions)
-            solves, report.iterations = solves + 1, report.iterations + solution.iterations
-            if not len(late) or solves == MOST_SOLVES:
-                return springs, solution, contacts
-            end[late] = solution.positions[late]
-
-    def _detect(self, before: Poses, after: Poses, end: np.ndarray) -> Contacts:
-        s = self._settings
-        if s.contact not in RESPONSES or not self.scene.obstacle:
-            return NO_CONTACTS
-        way = self._positions, end, self.model.free, s.dt
-        return detect(self.obstacles, before, after, *way, s.thickness, s.detection == "continuous")
-
-    def _gap_springs(self, contacts: Contacts, predicted: np.ndarray) -> GapSprings:
-        s, pairs = self._settings, (contacts.vertex, contacts.obstacle)
-        state = predicted, self._velocities, self._pressed[pairs], self._slip[pairs]
-        return gap_springs(RESPONSES.get(s.contact), contacts, self.model.masses, *state, s)
-
-    def _late(self, contacts: Contacts, springs: GapSprings, end: np.ndarray) -> np.ndarray:
-        """Vertices that an impulse would have to push, as the solve did not feel a contact that it led to."""
-        response = RESPONSES.get(self._settings.contact)
-        if response is None or not response.impulses:
-            return np.zeros(0, dtype=np.int64)
-        felt = np.zeros(self._pressed.shape, dtype=bool)
-        felt[springs.vertex, springs.obstacle] = True
-        s = self._settings
-        near = lacks(response, contacts, end, s.thickness, s.dt) > s.tolerance
-        return contacts.vertex[near & ~felt[contacts.vertex, contacts.obstacle]]
-
-    def _solve(self, springs: GapSprings) -> Solution:
-        s = self._settings
-        try:
-            return backward_euler(
-                self.model, springs, s, self._positions, self._velocities, s.dt, self._positions
-            )
-        except SolveError as error:
-            raise StepError(str(error), "solve", self._suspect()) from None
-
-    def _respond(
-        self, springs: GapSprings, contacts: Contacts, solution: Solution
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Impulses and friction after the solve; returns normal impulses [N s] and slip [m/s], (n, o)."""
-        s, h = self._settings, self._settings.dt
-        pressed, slip, drag = (np.zeros_like(self._pressed) for _ in range(3))
-        response = RESPONSES.get(s.contact)
-        if response is None or not self.scene.obstacle:
-            return pressed, slip
-        x, v = solution.positions, solution.velocities
-        solved = springs.vertex, springs.obstacle
-        pressed[solved], drag[solved], slip[solved] = springs.pushes(x, v, h), springs.drag, springs.slip(v)
-        pairs = contacts.vertex, contacts.obstacle
-        impulses, wanted = pressed[pairs], targets(response, contacts, s.thickness, h)
-        push = contacts, wanted, self.model.masses, h, x, v, impulses
-        if response.impulses:
-            push_out(*push)
-        rub(contacts, s.friction, self.model.masses, h, x, v, impulses, drag[pairs])
-        if response.impulses:
-            push_out(*push)
-        pressed[pairs] = impulses
-        return pressed, slip
+            report.energy_jumps, report.energy_jump = self.model.remember(self._positions)
 
     def _suspect(self) -> str:
         """The setting most likely to make a step fail: the first that is far from where it does well."""
-        s = self._settings
+        s = self.settings
+        if not INTEGRATORS[s.integrator].implicit:
+            return "dt"
         far = {
             "gravity": float(np.abs(s.gravity).max()) > 100.0,
             "dt": s.dt > 1 / 30,
             "stretch": s.stretch > 1e5,
+            "altitude": s.altitudes != "none" and s.altitude > 1e5,
             "bending": s.bending > 1.0,
             "gamma": s.gamma > 10.0,
         }
         return next((name for name, is_far in far.items() if is_far), "dt")
 
     def _effects(self, report: StepReport) -> dict[str, str]:
-        s = self._settings
-        effects = {"gravity": "ran" if any(s.gravity) else "off: zero"}
-        for springs in self.model.springs:
-            size = getattr(s, springs.kind.stiffness)
-            effects[f"{springs.name} springs"] = (
-                "ran" if size > 0.0 else f"off: {springs.kind.stiffness} is zero"
-            )
-        if s.bend == "none":
-            effects["bending"] = "off: bend is none"
-        effects["damping"] = "ran" if s.gamma > 0.0 else "off: gamma is zero"
-        if not self.scene.obstacle:
-            effects["contact"] = "off: no obstacle"
-        elif s.contact == "none":
-            effects["contact"] = "off: contact is none"
-        else:
-            effects["contact"] = (
-                f"ran: {report.contacts} contacts" if report.contacts else "ran: nothing within reach"
-            )
-        return effects
+        if INTEGRATORS[self.settings.integrator].implicit:
+            self._limit = None
+        elif self._limit is None:
+            self._limit = self.stability_limit()
+        return effects(self.settings, self.model, report, bool(self.scene.obstacle), self._limit)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

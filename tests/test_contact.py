@@ -280,7 +280,7 @@ def test_a_spinning_sphere_turns_the_cloth_by_friction_alone():
             world.step()
         x, v, m = world.positions, world.velocities, world.masses
         top_most = (
-            (world._pressed[:, 0] > 0) & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
+            (world.contact.pressed[:, 0] > 0) & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
             if friction
             else np.ones(len(m), bool)
         )

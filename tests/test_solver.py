@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import sim
-from sim.contact.detect import NO_CONTACTS
-from sim.contact.gap import gap_springs
+from sim.contact.gap import NO_GAP_SPRINGS
 from sim.solve import multiscale
 from sim.solve.cg import CONVERGED, conjugate_gradients
 from sim.solve.multiscale import build_preconditioner, refresh
@@ -29,18 +28,18 @@ def dense(matrix):
     return full.reshape(3 * n, 3 * n)
 
 
-def linearised(world, h):
-    nothing = gap_springs(None, NO_CONTACTS, *[np.zeros(0)] * 5, world.settings)
-    forces = world.model.linearise(world.positions.copy(), world.velocities.copy(), nothing, h)
+def linearised(world, h, exact=False):
+    forces = world.model.linearise(world.positions.copy(), world.velocities.copy(), NO_GAP_SPRINGS, h, exact)
     return dense(world.model.matrix), forces.copy()
 
 
-@pytest.mark.parametrize("bend", ["none", "cross", "angle"])
-def test_matrix_is_the_sum_of_its_elements(bend):
+@pytest.mark.parametrize("exact", [False, True], ids=["filtered", "exact"])
+@pytest.mark.parametrize("bend", ["none", "cross", "modified", "angle"])
+def test_matrix_is_the_sum_of_its_elements(bend, exact):
     """Gathered assembly against a loop over elements that writes every block by hand."""
-    world = sim.Simulation(scene(irregular(), bend=bend, gamma=0.7, bending=1e-3))
+    world = sim.Simulation(scene(irregular(), bend=bend, gamma=0.7, bending=1e-3, altitudes="all"))
     h = 0.01
-    found, forces = linearised(world, h)
+    found, forces = linearised(world, h, exact)
     n = len(world.masses)
     expected = np.zeros((n, 3, n, 3))
     for i in range(n):
@@ -50,25 +49,33 @@ def test_matrix_is_the_sum_of_its_elements(bend):
         e = springs.elements
         for k, nodes in enumerate(e.nodes):
             g = e.gradient[k]
-            across = max(0.0, 1 - e.rest[k] / e.q[k]) * e.stiffness[k] if springs.kind.is_length else 0.0
+            bends = springs.kind.bends if not exact else "none"
+            across = max(0.0, 1 - e.rest[k] / e.q[k]) * e.stiffness[k] if bends != "none" else 0.0
+            m = e.new_memory[k, :3]
+            side = np.outer(m, m) if bends == "normal" else np.eye(3)
+            second = springs.curvature(world.positions)[k].reshape(len(nodes), 3, len(nodes), 3)
             mu = 1.0 / sum(g[a] @ g[a] / world.masses[nodes[a]] for a in range(len(nodes)))
             b = 0.7 * 2 * np.sqrt(mu * e.stiffness[k])
             for a, i in enumerate(nodes):
                 pull[i] -= e.stiffness[k] * (e.q[k] - e.rest[k]) * g[a]
                 for c, j in enumerate(nodes):
                     outer = np.outer(g[a], g[c])
-                    expected[i, :, j] += (h * b + h * h * (e.stiffness[k] - across)) * outer
-                    expected[i, :, j] += h * h * across * (g[a] @ g[c]) * np.eye(3)
+                    along = e.stiffness[k] - across if bends == "length" else e.stiffness[k]
+                    expected[i, :, j] += (h * b + h * h * along) * outer
+                    expected[i, :, j] += h * h * across * (g[a] @ g[c]) * side
+                    if exact:
+                        tension = e.stiffness[k] * (e.q[k] - e.rest[k])
+                        expected[i, :, j] += h * h * tension * second[a, :, c]
     expected = expected.reshape(3 * n, 3 * n)
     np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
     np.testing.assert_allclose(forces, pull, atol=1e-12 * np.abs(pull).max())
 
 
-@pytest.mark.parametrize("bend", ["none", "cross", "angle"])
+@pytest.mark.parametrize("bend", ["none", "cross", "modified", "angle"])
 def test_matrix_is_symmetric_and_positive_definite_also_in_compression(bend):
     cloth = irregular()
     cloth["vertices"] = (0.5 * np.array(cloth["vertices"])).tolist()
-    world = sim.Simulation(scene(cloth, bend=bend, gamma=0.0, stretch=1e5))
+    world = sim.Simulation(scene(cloth, bend=bend, gamma=0.0, stretch=1e5, altitudes="all"))
     matrix, _ = linearised(world, 0.1)
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-14 * np.abs(matrix).max())
     assert np.linalg.eigvalsh(matrix).min() >= world.masses.min() * (1 - 1e-6)
@@ -77,9 +84,16 @@ def test_matrix_is_symmetric_and_positive_definite_also_in_compression(bend):
 @pytest.mark.parametrize("name", ["force", "stiffness"])
 def test_forces_are_the_slope_of_the_energy(name):
     """Central differences of the energy: truncation h² ~ 1e-12, cancellation 1e-16/1e-6."""
-    for bend in ("cross", "angle"):
+    for bend in ("cross", "modified", "angle"):
         world = sim.Simulation(
-            scene(irregular(3), bend=bend, gravity=[0.1, 0.2, -9.81], rest_angle=0.4, bending=1e-2)
+            scene(
+                irregular(3),
+                bend=bend,
+                gravity=[0.1, 0.2, -9.81],
+                rest_angle=0.4,
+                bending=1e-2,
+                altitudes="all",
+            )
         )
         forces, step = world.forces(), 1e-6
         rng = np.random.default_rng(0)

@@ -7,7 +7,7 @@ the step.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +15,9 @@ from sim.compiled import kernel
 from sim.contact.detect import Contacts
 from sim.contact.friction import CREEP, EXCESS, add_drag, expected_drag
 from sim.contact.response import Response, lacks, targets
-from sim.elements import Elements, make_elements, set_matrix_factors, set_tension
+from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
 from sim.settings import Settings
 from sim.solve.system import Matrix, add_single_node
-
-if TYPE_CHECKING:
-    pass
 
 
 @kernel
@@ -69,7 +66,7 @@ class GapSprings(NamedTuple):
             return
         self.measure(positions)
         set_tension(self.elements, velocities)
-        set_matrix_factors(self.elements, h, False)
+        set_matrix_factors(self.elements, h, NONE)
         add_single_node(self.elements, matrix, forces)
         add_drag(self, self.drag, velocities, h, matrix, forces)
 
@@ -103,6 +100,16 @@ class GapSprings(NamedTuple):
         overlap = np.minimum(self.elements.q - self.elements.rest, 0.0)
         return 0.5 * float(self.elements.stiffness @ overlap**2)
 
+    def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+        """(n, 3) forces [N] of the gap springs that push at `positions`, without friction."""
+        forces = np.zeros_like(positions)
+        if len(self.drag):
+            self.measure(positions)
+            set_tension(self.elements, velocities)
+            push = np.maximum(-self.elements.tension, 0.0)[:, None] * self.elements.gradient[:, 0]
+            np.add.at(forces, self.vertex, push)
+        return forces
+
     def release(self, positions: np.ndarray, slack: float) -> None:
         """Let go, for the rest of the step, of vertices farther than `slack` [m] off their target."""
         self.measure(positions)
@@ -115,6 +122,12 @@ class GapSprings(NamedTuple):
         self.measure(positions)
         set_tension(self.elements, velocities)
         return h * np.maximum(-self.elements.tension, 0.0)
+
+
+NO_GAP_SPRINGS = GapSprings(
+    make_elements(np.zeros((0, 1)), 4), np.zeros(0, dtype=np.int32), np.zeros((0, 3)), np.zeros(0)
+)
+"""What a step without contacts feels."""
 
 
 def gap_springs(
@@ -140,8 +153,7 @@ def gap_springs(
         settings: dt, thickness and friction are read.
     """
     if response is None or not len(contacts.vertex):
-        none = np.zeros((0, 3))
-        return GapSprings(make_elements(none[:, :1], 4), contacts.obstacle[:0], none, none[:, 0].copy())
+        return NO_GAP_SPRINGS
     h = settings.dt
     target = targets(response, contacts, settings.thickness, h)
     lack = lacks(response, contacts, predicted, settings.thickness, h)

@@ -108,6 +108,8 @@ def conjugate_gradients(matrix, preconditioner, r, x, shortcut, tolerance, most)
     for k in range(most):
         if rz == 0.0:
             return k, 0.0, CONVERGED
+        if not rz > 0.0:
+            return k, estimate, BROKEN
         curvature = multiply(matrix, free, p, ap, partial)
         if not curvature > 0.0:
             return k, estimate, BROKEN

@@ -17,6 +17,7 @@ from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
 from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients
+from sim.solve.direct import solve_directly
 from sim.solve.multiscale import refresh
 
 MOST_ITERATIONS = 5000
@@ -27,6 +28,9 @@ SUFFICIENT = 1e-4
 
 ROUNDING = 1e-14
 """Part of Φ that is lost in adding it up: a smaller increase is none."""
+
+FILTERED = 2
+"""Newton iterations that use the filtered Hessian; the exact one, for the last digits, comes after them."""
 
 SHORTEST_STEP = 1e-6
 """Part of a Newton step below which the line search gives up and keeps what it has."""
@@ -65,6 +69,7 @@ def backward_euler(
     v_hat: np.ndarray,
     h: float,
     start: np.ndarray,
+    filtered: int = FILTERED,
 ) -> Solution:
     """Solve one backward-Euler step from (`x_hat`, `v_hat`) over `h` [s].
 
@@ -76,6 +81,7 @@ def backward_euler(
         v_hat: (n, 3) [m/s], zero on fixed vertices.
         h: Length of the step [s].
         start: (n, 3) positions to linearise at first [m].
+        filtered: Newton iterations before those with the exact Hessian.
 
     Raises:
         SolveError: where the matrix is not positive definite or a number is not finite.
@@ -86,19 +92,27 @@ def backward_euler(
     iterations, newton = 0, 0
     while True:
         newton += 1
-        forces = model.linearise(x_hat + h * velocities, velocities, contacts, h)
+        at, change = x_hat + h * velocities, v_hat - velocities
         loose = model.untouched(contacts.vertex)
-        linear = _solve(model, loose, settings, forces, v_hat - velocities, guess, shortcut, h)
+        linear = None
+        if newton > filtered:
+            forces = model.linearise(at, velocities, contacts, h, exact=True)
+            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
+        if linear is None or linear.broken:
+            forces = model.linearise(at, velocities, contacts, h)
+            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         iterations += linear.iterations
         end = velocities + linear.step
         if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
             none = np.zeros_like(guess)
-            linear = _solve(model, loose, settings, forces, v_hat - velocities, linear.step, none, h)
+            linear = _solve(model, loose, settings, forces, change, linear.step, none, h)
             iterations += linear.iterations
+        if linear.broken:
+            raise SolveError("the linear system is not positive definite or not finite")
         step = linear.step
         small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
-        if settings.newton > 1 and not small:
-            descent = model.masses[:, None] * (v_hat - velocities) + h * forces
+        if settings.newton > 1 and not small and model.conservative:
+            descent = model.masses[:, None] * change + h * forces
             step = _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent)
         velocities = velocities + step
         contacts.release(x_hat + h * velocities, settings.tolerance)
@@ -115,6 +129,7 @@ class _Linear:
     iterations: int
     error: float
     converged: bool
+    broken: bool
 
 
 def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linear:
@@ -124,8 +139,13 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     the residual has of one is taken out exactly, so that the tolerance costs no momentum.
     """
     to_metres = h / math.sqrt(model.free_mass or 1.0)
-    refresh(model.preconditioner, model.matrix)
     rest = model.masses[:, None] * change + h * forces
+    if settings.solver == "direct":
+        step = np.empty_like(rest)
+        error = solve_directly(model.matrix, model.free, model.masses, rest, step)
+        broken = not np.isfinite(step).all() or float(np.sum(step * rest)) < 0.0
+        return _Linear(step, 1, error * to_metres, error * to_metres <= settings.tolerance, broken)
+    refresh(model.preconditioner, model.matrix)
     step, allowed = guess.copy(), settings.tolerance / to_metres
     iterations, error, status = conjugate_gradients(
         model.matrix, model.preconditioner, rest, step, shortcut, allowed, MOST_ITERATIONS
@@ -135,9 +155,8 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
         np.stack([np.bincount(pieces, rest[:, c]) for c in range(3)], axis=1) / model.piece_masses[:, None]
     )
     step += (drift * loose[:, None])[pieces]
-    if status == BROKEN or not np.isfinite(step).all():
-        raise SolveError("the linear system is not positive definite or not finite")
-    return _Linear(step, iterations, error * to_metres, status == CONVERGED)
+    broken = status == BROKEN or not np.isfinite(step).all()
+    return _Linear(step, iterations, error * to_metres, status == CONVERGED, broken)
 
 
 def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) -> np.ndarray:

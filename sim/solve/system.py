@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import corner, dot, kernel, parallel_kernel
+from sim.compiled import corner, dot, kernel, parallel_kernel, row
+from sim.elements import NORMAL
 
 
 class Matrix(NamedTuple):
@@ -112,8 +113,8 @@ def reset(matrix, masses):
 
 
 @parallel_kernel
-def add_elements(elements, gather, matrix):
-    """Add along g_a g_bᵀ + across (g_a·g_b) I of every element to the matrix."""
+def add_elements(elements, gather, bends, matrix):
+    """Add along g_a g_bᵀ + across (g_a·g_b) S of every element to the matrix; S as in `sim.elements`."""
     n = len(matrix.diagonal)
     for target in numba.prange(len(gather.first) - 1):
         xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
@@ -123,6 +124,18 @@ def add_elements(elements, gather, matrix):
             k = corner(elements.gradient, e, gather.b[c])
             along = elements.along[e]
             across = elements.across[e] * dot(g, k)
+            if bends == NORMAL:
+                m = row(elements.new_memory, e)
+                xx += across * m.x * m.x
+                xy += across * m.x * m.y
+                xz += across * m.x * m.z
+                yx += across * m.y * m.x
+                yy += across * m.y * m.y
+                yz += across * m.y * m.z
+                zx += across * m.z * m.x
+                zy += across * m.z * m.y
+                zz += across * m.z * m.z
+                across = 0.0
             xx += along * g.x * k.x + across
             xy += along * g.x * k.y
             xz += along * g.x * k.z
@@ -155,6 +168,25 @@ def add_elements(elements, gather, matrix):
         block[2, 0] += zx
         block[2, 1] += zy
         block[2, 2] += zz
+
+
+@kernel
+def add_curvature(elements, gather, curvature, h, matrix):
+    """Add h² K (q − q0) ∇²q of every element to the matrix, from its `curvature` (e, 3 k, 3 k)."""
+    n = len(matrix.diagonal)
+    for target in range(len(gather.first) - 1):
+        for c in range(gather.first[target], gather.first[target + 1]):
+            e = gather.element[c]
+            a, b = 3 * gather.a[c], 3 * gather.b[c]
+            tension = h * h * elements.stiffness[e] * (elements.q[e] - elements.rest[e])
+            for r in range(3):
+                for s in range(3):
+                    value = tension * curvature[e, a + r, b + s]
+                    if target < n:
+                        matrix.diagonal[target, r, s] += value
+                    else:
+                        matrix.block[gather.upper[target - n], r, s] += value
+                        matrix.block[gather.lower[target - n], s, r] += value
 
 
 @kernel

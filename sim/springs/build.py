@@ -7,12 +7,13 @@ all kinds resist a small fold alike; dq/dθ is its own gradient along the motion
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
 
-from sim.elements import Elements, make_elements
+from sim.elements import Elements, elastic_energy, make_elements
 from sim.mesh import Mesh
 from sim.settings import Settings
 from sim.springs import BENDING, STRETCH, SpringKind
@@ -21,9 +22,21 @@ FLATTEST = 1e-3
 """A hinge with a rest triangle lower than this part of its edge has no usable angle and is left out."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Springs:
-    """One spring kind on one mesh. `unit_stiffness` is K per unit of the setting that scales it."""
+    """One spring kind on one mesh.
+
+    Attributes:
+        name: Of the kind.
+        kind: What there is to know of it.
+        elements: Its coordinates.
+        stencil: (e, stencil) int32 vertices that each element comes from.
+        rest_positions: (e, stencil, 3) [m] of them.
+        unit_stiffness: (e,) K per unit of the setting that scales it.
+        active: (e,) bool, which elements act.
+        left_out: Elements of the mesh that are too thin, or whose lever is too long, to be used.
+        value: The setting that scales it.
+    """
 
     name: str
     kind: SpringKind
@@ -32,41 +45,85 @@ class Springs:
     stencil: np.ndarray
     rest_positions: np.ndarray
     unit_stiffness: np.ndarray
+    active: np.ndarray
+    left_out: int
+    value: float = 0.0
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate q and its gradient at `positions` (n, 3) [m]."""
         e = self.elements
-        self.module.coordinate(positions, e.nodes, e.memory, e.q, e.gradient, e.new_memory)
+        self.coordinate(positions, e.nodes, e.memory, e.q, e.gradient, e.new_memory)
+
+    def curvature(self, positions: np.ndarray) -> np.ndarray | None:
+        """∇²q at `positions`, (e, 3 k, 3 k); None for a kind that does not say."""
+        kernel = getattr(self.module, "curvature", None)
+        if kernel is None:
+            return None
+        e, k = self.elements.nodes.shape
+        out = np.empty((e, 3 * k, 3 * k))
+        kernel(positions, self.elements.nodes, self.elements.memory, out)
+        return out
 
     def apply(self, settings: Settings) -> None:
-        """Set stiffness and rest values for `settings`."""
-        self.elements.stiffness[:] = getattr(settings, self.kind.stiffness) * self.unit_stiffness
+        """Set coordinate, stiffness and rest values for `settings`."""
+        self.coordinate = kernel_of(self.kind, settings)
+        self.value = getattr(settings, self.kind.stiffness)
         if self.kind.stencil == "hinges":
             folded, _ = fold(self.rest_positions, settings.rest_angle)
             self.elements.rest[:] = measure_each(self.kind, folded)[0]
+        self._set_stiffness()
+
+    def choose(self, settings: Settings) -> tuple[int, float]:
+        """Let those elements act that the kind says, as last measured.
+
+        Returns:
+            How many began or ceased to act, and the energy [J] that this put in.
+        """
+        if not hasattr(self.module, "active"):
+            return 0, 0.0
+        chosen = self.module.active(self.elements.q, settings)
+        changed = int(np.count_nonzero(chosen != self.active))
+        if not changed:
+            return 0, 0.0
+        before = elastic_energy(self.elements)
+        self.active[:] = chosen
+        self._set_stiffness()
+        return changed, elastic_energy(self.elements) - before
+
+    def _set_stiffness(self) -> None:
+        self.elements.stiffness[:] = self.value * self.unit_stiffness * self.active
+
+
+def kernel_of(kind: SpringKind, settings: Settings) -> Callable[..., None]:
+    """The kernel that measures the coordinate of `kind`."""
+    return getattr(kind.load(), getattr(settings, kind.rule) if kind.rule else "coordinate")
 
 
 def kinds_in_force(settings: Settings) -> dict[str, SpringKind]:
     """The kinds that `settings` calls for, by name."""
+    stretch = {
+        name: kind
+        for name, kind in STRETCH.items()
+        if not kind.switch or getattr(settings, kind.switch) != "none"
+    }
     bending = {settings.bend: BENDING[settings.bend]} if settings.bend in BENDING else {}
-    return {**STRETCH, **bending}
+    return {**stretch, **bending}
 
 
 def build_springs(name: str, kind: SpringKind, mesh: Mesh) -> Springs:
     """The elements of `kind` on `mesh`, at their rest values for no fold."""
     stencil = getattr(mesh, kind.stencil)
-    if kind.stencil == "hinges":
-        stencil = stencil[_usable(mesh.rest_vertices[stencil])]
+    usable = _usable(kind, mesh.rest_vertices[stencil])
+    left_out = int(np.count_nonzero(~usable))
+    stencil = stencil[usable]
     rest_positions = mesh.rest_vertices[stencil]
     elements = make_elements(stencil[:, list(kind.vertices)], kind.memory)
-    if kind.stencil == "hinges":
-        flat, _ = fold(rest_positions, 0.0)
-        elements.rest[:] = measure_each(kind, flat)[0]
-        unit = _bending_unit(kind, rest_positions)
-    else:
-        elements.rest[:] = measure_each(kind, rest_positions)[0]
-        unit = 1.0 / _positive(elements.rest)
-    return Springs(name, kind, kind.load(), elements, stencil, rest_positions, unit)
+    flat = fold(rest_positions, 0.0)[0] if kind.stencil == "hinges" else rest_positions
+    elements.rest[:] = measure_each(kind, flat)[0]
+    hinges = kind.stencil == "hinges"
+    unit = _bending_unit(kind, rest_positions) if hinges else 1.0 / _positive(elements.rest)
+    active = np.ones(len(stencil), dtype=bool)
+    return Springs(name, kind, kind.load(), elements, stencil, rest_positions, unit, active, left_out)
 
 
 def measure_each(kind: SpringKind, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,14 +169,27 @@ def _positive(lengths: np.ndarray) -> np.ndarray:
     return np.where(real, lengths, lengths[real].mean() if real.any() else 1.0)
 
 
-def _usable(hinges: np.ndarray) -> np.ndarray:
-    length, _, height3, _, height4 = hinge_shape(hinges)
-    return (np.minimum(height3, height4) > FLATTEST * length) & (length > 0.0)
+def _usable(kind: SpringKind, stencil: np.ndarray) -> np.ndarray:
+    """(e,) bool: which elements have a shape at rest that their coordinate can be measured on."""
+    if kind.stencil == "edges":
+        return np.ones(len(stencil), dtype=bool)
+    if kind.stencil == "altitudes":  # all three of a triangle, or none
+        edge = stencil[:, 2] - stencil[:, 1]
+        length = np.linalg.norm(edge, axis=1)
+        area = np.linalg.norm(np.cross(edge, stencil[:, 0] - stencil[:, 1]), axis=1)
+        return ((area > FLATTEST * length**2) & (length > 0.0)).reshape(-1, 3).all(axis=1).repeat(3)
+    length, _, height3, _, height4 = hinge_shape(stencil)
+    usable = (np.minimum(height3, height4) > FLATTEST * length) & (length > 0.0)
+    _, gradient = measure_each(kind, fold(stencil, 0.0)[0])
+    return usable & (np.linalg.norm(gradient, axis=2).max(axis=1, initial=0.0) <= kind.lever)
 
 
 def _bending_unit(kind: SpringKind, hinges: np.ndarray) -> np.ndarray:
+    """(e,) K per c: c w / (dq/dθ)², w = |e|/(h1 + h2)."""
     length, _, height3, _, height4 = hinge_shape(hinges)
-    folded, motion = fold(hinges, kind.match_fold)
-    _, gradient = measure_each(kind, folded)
-    rate = np.einsum("eki,eki->e", gradient, motion[:, list(kind.vertices)])
+    rate = 1.0  # of an angle, which is what kinds measure that are wrong on purpose
+    if not kind.wrong:
+        folded, motion = fold(hinges, kind.match_fold)
+        _, gradient = measure_each(kind, folded)
+        rate = np.einsum("eki,eki->e", gradient, motion[:, list(kind.vertices)])
     return length / (height3 + height4) / rate**2

@@ -22,3 +22,18 @@ def coordinate(positions, nodes, memory, q, gradient, new_memory):
         put_corner(gradient, e, 0, scale(-1.0, n))
         put_corner(gradient, e, 1, n)
         put(new_memory, e, n)
+
+
+@kernel
+def curvature(positions, nodes, memory, out):
+    """Fill ∇²q: ±(I − nnᵀ)/q, and zero for vertices that coincide."""
+    for e in range(len(nodes)):
+        d = sub(row(positions, nodes[e, 1]), row(positions, nodes[e, 0]))
+        length = norm(d)
+        for r in range(3):
+            for s in range(3):
+                value = 0.0
+                if length > SHORTEST:
+                    value = ((1.0 if r == s else 0.0) - d[r] * d[s] / length**2) / length
+                out[e, r, s] = out[e, 3 + r, 3 + s] = value
+                out[e, r, 3 + s] = out[e, 3 + r, s] = -value

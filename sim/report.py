@@ -1,0 +1,68 @@
+"""What one step did, and the error of a step that could not be done."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+
+class StepError(RuntimeError):
+    """A step that could not be done; the state is as it was before.
+
+    Attributes:
+        phase: Where it failed: "detect", "solve" or "respond".
+        setting: The setting most likely to blame.
+    """
+
+    def __init__(self, reason: str, phase: str, setting: str) -> None:
+        super().__init__(f"{phase}: {reason}; the likeliest setting to blame is {setting}")
+        self.phase = phase
+        self.setting = setting
+
+
+@dataclass
+class StepReport:
+    """What one step did.
+
+    Attributes:
+        ms: Milliseconds by phase, and "total".
+        iterations: Of the linear solver.
+        newton: Newton iterations.
+        residual: Estimated mass-weighted position error that the last linear solve left [m].
+        converged: Whether the solver reached the tolerance.
+        contacts: Contacts that detection found.
+        penetrations: Vertices inside an obstacle at the end of the step.
+        deepest: How far the deepest of them is inside [m].
+        substeps: Parts that the step was done in.
+        integrator: What took the step: the setting, or what stood in for it.
+        effects: Each effect and whether it ran, or why not.
+        energy_injected: By changes of settings since the step before [J].
+        energy_jumps: Springs that began or ceased to act at the end of the step, as their kind chose.
+        energy_jump: What these put in [J].
+    """
+
+    ms: dict[str, float] = field(default_factory=dict)
+    iterations: int = 0
+    newton: int = 0
+    residual: float = 0.0
+    converged: bool = True
+    contacts: int = 0
+    penetrations: int = 0
+    deepest: float = 0.0
+    substeps: int = 1
+    integrator: str = ""
+    effects: dict[str, str] = field(default_factory=dict)
+    energy_injected: float = 0.0
+    energy_jumps: int = 0
+    energy_jump: float = 0.0
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Add the time that the block takes to `ms[name]` and to the total."""
+        begin = time.perf_counter()
+        yield
+        took = 1e3 * (time.perf_counter() - begin)
+        self.ms[name] = self.ms.get(name, 0.0) + took
+        self.ms["total"] = self.ms.get("total", 0.0) + took

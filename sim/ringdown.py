@@ -1,0 +1,154 @@
+"""The damping a mode of the cloth really has: set, to be expected, added by the integrator, and measured.
+
+Cloth at rest is deflected a little in the shape of one of its modes and let go. The deflection y of that mode
+then follows y_{k+2} = a y_{k+1} + b y_k, whose roots ρ give the decay and the frequency (Prony 1795), also
+where it creeps back without ringing. An integrator that looks back two steps has two roots more, which fade.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse import diags_array
+from scipy.sparse.linalg import eigsh
+
+from sim.damping import apparent
+from sim.equilibrium import equilibrium
+from sim.integrators import INTEGRATORS
+from sim.scene import Scene
+from sim.simulation import Simulation
+from sim.solve.stability import system_matrices
+
+DEFLECTION = 1e-4
+"""Largest deflection as part of the cloth's size: small, so that its springs stay linear."""
+
+DIGITS = 1e-6
+"""Position error that a solve may leave, as part of the deflection."""
+
+PERIODS, FEWEST, MOST = 4.0, 12, 4000
+"""How long the motion is followed, and bounds on its steps."""
+
+RIGID = 1e-7
+"""Modes this much slower than the fastest (ω²) are motions of the whole piece, and are no modes of the cloth."""
+
+DENSE = 400
+"""Vertices up to which all modes are computed at once."""
+
+
+@dataclass(frozen=True)
+class ModalDamping:
+    """Damping of one mode.
+
+    Attributes:
+        frequency: ω of the mode, undamped [rad/s].
+        gamma: The damping ratio set for every spring.
+        modal: What the springs' dampers make of it for this mode.
+        stepped: That, and what the integrator adds at its time step.
+        measured: From the ring-down.
+        measured_frequency: Undamped, from the ring-down [rad/s].
+    """
+
+    frequency: float
+    gamma: float
+    modal: float
+    stepped: float
+    measured: float
+    measured_frequency: float
+
+    @property
+    def integrator_share(self) -> float:
+        """What the integrator adds by itself."""
+        return self.stepped - self.modal
+
+
+def modal_damping(
+    scene: Scene | str | Path | dict[str, Any], mode: int = 0, **overrides: Any
+) -> ModalDamping:
+    """Measure the damping ratio of a mode of `scene` about its equilibrium, contact left out.
+
+    Args:
+        scene: As for Simulation.
+        mode: 0 is the slowest that deforms the cloth; −1 the fastest.
+        overrides: Settings that differ from the scene's.
+
+    Raises:
+        SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also for a mode there is none of.
+    """
+    world = equilibrium(scene, **{**overrides, "contact": "none"})
+    frequency, shape = cloth_mode(world, mode)
+    _, damping = system_matrices(world.model, world.positions)
+    moving = shape.ravel()
+    modal = float(moving @ (damping @ moving)) / (2.0 * frequency)
+    s = world.settings
+    stepped = float(apparent(s.integrator, frequency * s.dt, modal)[0])
+    roots = 4 if INTEGRATORS[s.integrator].looks_back else 2
+    measured, rate = fit_ring_down(_let_go(world, shape, frequency), s.dt, roots)
+    return ModalDamping(frequency, s.gamma, modal, stepped, measured, rate)
+
+
+def cloth_mode(world: Simulation, mode: int = 0) -> tuple[float, np.ndarray]:
+    """Frequency ω [rad/s] and shape (n, 3), of unit mass-weighted norm, of a mode about the present state."""
+    stiffness, _ = system_matrices(world.model, world.positions, exact=True)
+    kept = np.flatnonzero(np.repeat(world.model.free, 3))
+    scale = np.repeat(np.sqrt(world.masses), 3)[kept]
+    scaled = diags_array(1.0 / scale) @ stiffness[kept][:, kept] @ diags_array(1.0 / scale)
+    if len(kept) <= 3 * DENSE:
+        squares, shapes = eigh(scaled.toarray())
+    elif mode < 0:
+        squares, shapes = eigsh(scaled, k=-mode, which="LA", v0=np.ones(len(kept)))
+    else:
+        squares, shapes = eigsh(scaled, k=mode + 8, sigma=0.0, which="LM", v0=np.ones(len(kept)))
+    order = np.argsort(squares)
+    squares, shapes = squares[order], shapes[:, order]
+    real = np.flatnonzero(squares > RIGID * squares[-1])
+    if not -len(real) <= mode < len(real):
+        raise ValueError(f"mode: expected {-len(real)} to {len(real) - 1}, got {mode}")
+    chosen = real[mode]
+    shape = np.zeros(3 * len(world.masses))
+    shape[kept] = shapes[:, chosen] / scale
+    return math.sqrt(squares[chosen]), shape.reshape(-1, 3)
+
+
+def fit_ring_down(samples: np.ndarray, dt: float, roots: int = 2) -> tuple[float, float]:
+    """Damping ratio and undamped frequency [rad/s] of a decaying motion sampled every `dt` [s].
+
+    Args:
+        samples: (k,) of the motion.
+        dt: Time from one to the next [s].
+        roots: Of the recurrence that the samples follow; the two that fade last are the motion.
+
+    Raises:
+        ValueError: for samples that do not decay like a damped oscillator.
+    """
+    y = np.asarray(samples, dtype=float)
+    past = np.lib.stride_tricks.sliding_window_view(y[:-1], roots)[:, ::-1]
+    recurrence, *_ = np.linalg.lstsq(past, y[roots:], rcond=None)
+    found = np.roots([1.0, *-recurrence]).astype(complex)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = np.log(found[np.argsort(-np.abs(found))][:2]) / dt
+        frequency = np.sqrt(rates[0] * rates[1])
+        ratio = -(rates[0] + rates[1]) / (2.0 * frequency)
+    if not (np.isfinite(ratio) and np.isfinite(frequency) and frequency.real > 0.0):
+        raise ValueError("samples: expected the motion of a damped oscillator, got something else")
+    return float(ratio.real), float(frequency.real)
+
+
+def _let_go(world: Simulation, shape: np.ndarray, frequency: float) -> np.ndarray:
+    """Deflections of the mode `shape` in time, from a small one on."""
+    size = float(np.ptp(world.positions, axis=0).max()) or 1.0
+    deflection = DEFLECTION * size / float(np.abs(shape).max())
+    rest, weights = world.positions.copy(), world.masses[:, None] * shape
+    exact = {"newton": 20, "tolerance": DIGITS * DEFLECTION * size, "solver": "direct"}
+    world.update(**{k: v for k, v in exact.items() if k != "tolerance" or v < world.settings.tolerance})
+    world.place(rest + deflection * shape)
+    steps = math.ceil(PERIODS * 2.0 * math.pi / (frequency * world.settings.dt))
+    samples = [deflection]
+    for _ in range(min(max(steps, FEWEST), MOST)):
+        world.step()
+        samples.append(float(np.sum(weights * (world.positions - rest))))
+    return np.array(samples)

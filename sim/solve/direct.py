@@ -1,0 +1,45 @@
+"""The direct linear solver: a sparse factorisation (SuperLU, Li 2005), for the last digits and as a reference."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse.linalg import splu
+
+from sim.solve.system import Matrix
+
+
+def as_sparse(matrix: Matrix) -> csr_array:
+    """The whole matrix, (3 n, 3 n)."""
+    n = len(matrix.diagonal)
+    first = matrix.first + np.arange(n + 1)
+    blocks, column = np.empty((first[-1], 3, 3)), np.empty(first[-1], dtype=np.int32)
+    own = np.zeros(first[-1], dtype=bool)
+    own[first[:-1]] = True
+    blocks[own], column[own] = matrix.diagonal, np.arange(n)
+    blocks[~own], column[~own] = matrix.block, matrix.column
+    return csr_array(bsr_array((blocks, column, first), shape=(3 * n, 3 * n)))
+
+
+def solve_directly(
+    matrix: Matrix, free: np.ndarray, masses: np.ndarray, b: np.ndarray, x: np.ndarray
+) -> float:
+    """Fill `x` (n, 3) with the solution of A x = b on `free` vertices, zero on the others.
+
+    Returns:
+        The mass-weighted size of the last correction, an estimate of the error; inf for a singular matrix.
+    """
+    kept = np.flatnonzero(np.repeat(free, 3))
+    x[:] = 0.0
+    if not len(kept):
+        return 0.0
+    a = csc_array(as_sparse(matrix)[kept][:, kept])
+    try:
+        factors = splu(a, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:
+        return np.inf
+    right = b.ravel()[kept]
+    solution = factors.solve(right)
+    correction = factors.solve(right - a @ solution)
+    x.ravel()[kept] = solution + correction
+    return float(np.sqrt(np.repeat(masses, 3)[kept] @ correction**2))
