@@ -9,33 +9,51 @@ Numba and everything that needs it is imported when `Simulation` is first used, 
 scenes stays quick.
 """
 
+from __future__ import annotations
+
 import importlib
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
 from sim.scene import Scene, SceneError, load_scene
 from sim.settings import Settings
+
+if TYPE_CHECKING:
+    from sim.report import StepError, StepReport
+    from sim.ringdown import modal_damping
+    from sim.simulation import Simulation
+    from sim.statics import EquilibriumError, equilibrium
 
 try:
     __version__ = version("muslin")
 except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
+__all__ = [
+    "EquilibriumError",
+    "Scene",
+    "SceneError",
+    "Settings",
+    "Simulation",
+    "StepError",
+    "StepReport",
+    "equilibrium",
+    "load_scene",
+    "modal_damping",
+]
+
 _LATER = {
+    "EquilibriumError": "sim.statics",
     "Simulation": "sim.simulation",
     "StepError": "sim.report",
     "StepReport": "sim.report",
-    "EquilibriumError": "sim.equilibrium",
-    "equilibrium": "sim.equilibrium",
+    "equilibrium": "sim.statics",
     "modal_damping": "sim.ringdown",
 }
-"""Where to find what needs numba."""
-
-__all__ = ["Scene", "SceneError", "Settings", "__version__", "load_scene", *_LATER]  # pyright: ignore
+"""Where to find what needs numba; imported when it is first used."""
 
 
 def __getattr__(name: str):
     if name not in _LATER:
         raise AttributeError(f"module 'sim' has no attribute {name!r}")
-    found = getattr(importlib.import_module(_LATER[name]), name)
-    globals()[name] = found  # the module sim.equilibrium would take its function's place otherwise
-    return found
+    return getattr(importlib.import_module(_LATER[name]), name)

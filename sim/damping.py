@@ -1,8 +1,8 @@
 """What damping a time integrator adds of its own, and how to take it off again.
 
 A spring with damping ratio γ and frequency ω, stepped by h, moves as one with other ratio and frequency: for
-backward Euler the ratio is γ + ½ h ω (1 − γ²) + O(h²). Both follow from the factor by which one step multiplies
-its motion.
+backward Euler the ratio is γ + ½ h ω (1 − γ²) + O(h²). Both follow from the factor by which one step
+multiplies its motion.
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ INTEGRATORS: dict[str, Integrator] = {
         _trapezoid_growth,
     ),
     "sdirk2": Integrator(
-        "second order, two solves; the most accurate at a given step, and damps only what is too stiff for it",
+        "second order, two solves; the most accurate at a given step, damps only what is too stiff for it",
         2,
         sdirk2,
         _two_stage_growth,

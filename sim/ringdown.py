@@ -18,11 +18,11 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
 from sim.damping import apparent
-from sim.equilibrium import equilibrium
 from sim.integrators import INTEGRATORS
 from sim.scene import Scene
 from sim.simulation import Simulation
 from sim.solve.stability import system_matrices
+from sim.statics import equilibrium
 
 DEFLECTION = 1e-4
 """Largest deflection as part of the cloth's size: small, so that its springs stay linear."""
@@ -34,7 +34,7 @@ PERIODS, FEWEST, MOST = 4.0, 12, 4000
 """How long the motion is followed, and bounds on its steps."""
 
 RIGID = 1e-7
-"""Modes this much slower than the fastest (ω²) are motions of the whole piece, and are no modes of the cloth."""
+"""Modes this much slower than the fastest (ω²) are motions of the whole piece, no modes of the cloth."""
 
 DENSE = 400
 """Vertices up to which all modes are computed at once."""
@@ -77,7 +77,7 @@ def modal_damping(
         overrides: Settings that differ from the scene's.
 
     Raises:
-        SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also for a mode there is none of.
+        SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also where there is no such mode.
     """
     world = equilibrium(scene, **{**overrides, "contact": "none"})
     frequency, shape = cloth_mode(world, mode)

@@ -167,7 +167,7 @@ class Simulation:
         self._injected += sum(self.energy().values()) - before
 
     def place(self, positions: np.ndarray, velocities: np.ndarray | None = None) -> None:
-        """Put the cloth elsewhere, at time zero and with no past; pinned vertices stay pinned where they are put.
+        """Put the cloth elsewhere, at time zero and with no past; pinned vertices stay where they are put.
 
         Args:
             positions: (n, 3) [m].

@@ -1,4 +1,4 @@
-"""The direct linear solver: a sparse factorisation (SuperLU, Li 2005), for the last digits and as a reference."""
+"""The direct linear solver: a sparse factorisation (SuperLU, Li 2005), for the last digits."""
 
 from __future__ import annotations
 

@@ -94,11 +94,10 @@ def backward_euler(
         newton += 1
         at, change = x_hat + h * velocities, v_hat - velocities
         loose = model.untouched(contacts.vertex)
-        linear = None
-        if newton > filtered:
-            forces = model.linearise(at, velocities, contacts, h, exact=True)
-            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
-        if linear is None or linear.broken:
+        exact = newton > filtered
+        forces = model.linearise(at, velocities, contacts, h, exact)
+        linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
+        if exact and linear.broken:
             forces = model.linearise(at, velocities, contacts, h)
             linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         iterations += linear.iterations

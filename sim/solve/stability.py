@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackError, eigsh
 
 from sim.contact.gap import NO_GAP_SPRINGS
 from sim.model import Model
@@ -50,9 +50,11 @@ def _largest(model: Model, matrix: csr_array) -> float:
     n = len(scale)
     if n <= 3 * DENSE:
         return float(np.linalg.eigvalsh(scale[:, None] * matrix.toarray() * scale).max(initial=0.0))
-    product = LinearOperator((n, n), matvec=lambda x: scale * (matrix @ (scale * x)), dtype=float)
+    diagonal = diags_array(scale)
+    product = diagonal @ matrix @ diagonal
     start = np.random.default_rng(0).standard_normal(n)
     try:
-        return float(eigsh(product, k=1, which="LA", tol=DIGITS, v0=start, return_eigenvectors=False)[0])
+        values = eigsh(product, k=1, which="LA", tol=DIGITS, v0=start, return_eigenvectors=False)  # pyright: ignore
+        return float(values[0])
     except ArpackError:  # no eigenvalue exceeds the largest row sum
-        return float((abs(matrix) @ scale * scale).max())
+        return float(abs(product).sum(axis=1).max())

@@ -2,8 +2,8 @@
 
 Without contact this is a minimum of the potential energy, found by damped Newton: implicit steps from rest,
 longer and longer, so that the masses, which keep the first ones short, fade out and the last ones are plain
-Newton steps with the exact Hessian. With obstacles it is where the motion itself ends: the cloth is stepped and
-stopped whenever its kinetic energy has passed a peak (kinetic damping, Cundall 1976).
+Newton steps with the exact Hessian. With obstacles it is where the motion itself ends: the cloth is stepped,
+and stopped whenever its kinetic energy has passed a peak (kinetic damping, Cundall 1976).
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class EquilibriumError(RuntimeError):
 def equilibrium(scene: Scene | str | Path | dict[str, Any], **overrides: Any) -> Simulation:
     """A simulation of `scene` at static rest, velocities zero and time zero.
 
-    The forces that are left are below 1e-9 of the largest that acts on a vertex; with obstacles, below 1e-4 of
-    a vertex's weight.
+    The forces that are left are below 1e-9 of the largest that acts on a vertex; with obstacles, below 1e-4
+    of a vertex's weight.
 
     Args:
         scene: As for Simulation.
@@ -124,5 +124,5 @@ def _relax(world: Simulation) -> None:
         if stopped:
             world.stop()
     raise EquilibriumError(
-        f"no equilibrium within {MOST_CONTACT_STEPS} steps: forces of {left:.2g} times a vertex's weight are left"
+        f"no equilibrium within {MOST_CONTACT_STEPS} steps: {left:.2g} of the largest weight is left"
     )
