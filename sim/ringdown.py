@@ -30,11 +30,14 @@ DEFLECTION = 1e-4
 DIGITS = 1e-6
 """Position error that a solve may leave, as part of the deflection."""
 
-PERIODS, FEWEST, MOST = 4.0, 12, 4000
+PERIODS, FEWEST, MOST = 1.0, 12, 4000
 """How long the motion is followed, and bounds on its steps."""
 
-RIGID = 1e-7
-"""Modes this much slower than the fastest (ω²) are motions of the whole piece, no modes of the cloth."""
+APART = 0.3
+"""Phase ω t from one sample of the fit to the next, at least: closer ones differ by little but rounding."""
+
+RIGID = 1e-12
+"""Modes this much slower than the fastest (ω²) are motions of a whole piece, seen through rounding."""
 
 DENSE = 400
 """Vertices up to which all modes are computed at once."""
@@ -77,7 +80,7 @@ def modal_damping(
         overrides: Settings that differ from the scene's.
 
     Raises:
-        SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also where there is no such mode.
+        SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also where no such mode is.
     """
     world = equilibrium(scene, **{**overrides, "contact": "none"})
     frequency, shape = cloth_mode(world, mode)
@@ -87,7 +90,9 @@ def modal_damping(
     s = world.settings
     stepped = float(apparent(s.integrator, frequency * s.dt, modal)[0])
     roots = 4 if INTEGRATORS[s.integrator].looks_back else 2
-    measured, rate = fit_ring_down(_let_go(world, shape, frequency), s.dt, roots)
+    every = max(1, round(APART / (frequency * s.dt)))
+    samples = _let_go(world, shape, frequency)[::every]
+    measured, rate = fit_ring_down(samples, every * s.dt, roots)
     return ModalDamping(frequency, s.gamma, modal, stepped, measured, rate)
 
 
@@ -97,15 +102,17 @@ def cloth_mode(world: Simulation, mode: int = 0) -> tuple[float, np.ndarray]:
     kept = np.flatnonzero(np.repeat(world.model.free, 3))
     scale = np.repeat(np.sqrt(world.masses), 3)[kept]
     scaled = diags_array(1.0 / scale) @ stiffness[kept][:, kept] @ diags_array(1.0 / scale)
+    fastest = float(abs(scaled).sum(axis=1).max())  # no ω² exceeds it
     if len(kept) <= 3 * DENSE:
         squares, shapes = eigh(scaled.toarray())
     elif mode < 0:
         squares, shapes = eigsh(scaled, k=-mode, which="LA", v0=np.ones(len(kept)))
     else:
-        squares, shapes = eigsh(scaled, k=mode + 8, sigma=0.0, which="LM", v0=np.ones(len(kept)))
+        below = -RIGID * fastest  # at zero itself, the matrix of a free piece is singular
+        squares, shapes = eigsh(scaled, k=mode + 8, sigma=below, which="LM", v0=np.ones(len(kept)))
     order = np.argsort(squares)
     squares, shapes = squares[order], shapes[:, order]
-    real = np.flatnonzero(squares > RIGID * squares[-1])
+    real = np.flatnonzero(squares > RIGID * fastest)
     if not -len(real) <= mode < len(real):
         raise ValueError(f"mode: expected {-len(real)} to {len(real) - 1}, got {mode}")
     chosen = real[mode]

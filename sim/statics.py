@@ -17,6 +17,7 @@ import numpy as np
 from sim.contact.gap import NO_GAP_SPRINGS
 from sim.scene import Scene
 from sim.simulation import Simulation
+from sim.solve.direct import solve_directly
 from sim.solve.implicit import SolveError, backward_euler
 
 RESIDUAL = 1e-9
@@ -27,6 +28,9 @@ CONTACT_RESIDUAL = 1e-4
 
 EPSILON = 8.0 * float(np.finfo(float).eps)
 """What a coordinate loses of the positions that it is measured from."""
+
+NUDGE, SLOWEST_FALL = 1e-5, 30.0
+"""Part of the cloth's size by which it is moved off a saddle, and the time [s] in which that leaves it."""
 
 MOST_STEPS, MOST_CONTACT_STEPS = 400, 6000
 """Steps after which there is taken to be no equilibrium."""
@@ -74,12 +78,17 @@ def _minimise(world: Simulation) -> None:
     settings = msgspec.structs.replace(world.settings, newton=4, tolerance=1e-12, solver="direct")
     x = world.positions.copy()
     still = np.zeros_like(x)
-    h, before, left = world.settings.dt, np.inf, np.inf
+    h, before, left, nudges = world.settings.dt, np.inf, np.inf, np.random.default_rng(world.settings.seed)
     for _ in range(MOST_STEPS):
         left = _residual(world, x)
         if left <= RESIDUAL:
-            world.place(x)
-            return
+            if _stable(world, x):
+                world.place(x)
+                return
+            size = float(np.ptp(x, axis=0).max())
+            x += NUDGE * size * nudges.standard_normal(x.shape) * free[:, None]
+            h, before = world.settings.dt, np.inf
+            continue
         h = min(GROWTH * h, LONGEST) if left < before else max(0.5 * h, SHORTEST)
         before = left
         try:
@@ -92,6 +101,13 @@ def _minimise(world: Simulation) -> None:
     raise EquilibriumError(
         f"no equilibrium within {MOST_STEPS} steps: forces of {left:.2g} times the largest are left"
     )
+
+
+def _stable(world: Simulation, x: np.ndarray) -> bool:
+    """Whether the energy is least at `x`, and not a saddle such as cloth that is flat by symmetry alone."""
+    world.model.linearise(x, np.zeros_like(x), NO_GAP_SPRINGS, SLOWEST_FALL, exact=True)
+    unused = np.zeros_like(x)
+    return solve_directly(world.model.matrix, world.model.free, world.masses, unused, unused.copy())[1]
 
 
 def _residual(world: Simulation, x: np.ndarray) -> float:

@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from numba.core import event
+from numba.core.dispatcher import Dispatcher
 
 from sim.compiled import KERNELS
+from sim.contact.gap import NO_GAP_SPRINGS
 from sim.scene import Scene
 from sim.simulation import Simulation
-from sim.springs.build import kinds_in_force
+from sim.solve.implicit import FILTERED
+from sim.springs.build import kernel_of, kinds_in_force
 
 Progress = Callable[[int, int, str], None]
 
@@ -23,26 +26,41 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     """Compile, or read from the cache, every kernel that `scene` needs.
 
     Args:
-        scene: Its spring kind, and whether it has obstacles, decide what is compiled.
+        scene: Its spring kinds, Newton iterations, and whether it has obstacles, decide what is compiled.
         progress: Called as progress(ready, total, name) when a kernel begins to compile, and once at the end.
     """
     cloth = {"kind": "grid", "size": [0.2, 0.2], "resolution": [3, 3], "pins": ["corner00"]}
     ball = {"kind": "sphere", "center": [0.1, 0.1, -0.05], "radius": 0.05}
-    settings = {"bend": scene.settings.bend, "contact": "impulse", "friction": 0.5}
+    s = scene.settings
+    settings = {"bend": s.bend, "adhoc_rule": s.adhoc_rule, "altitudes": s.altitudes, "contact": "impulse"}
+    settings |= {"newton": min(s.newton, 2), "tolerance": 1e-12}  # so that a line search is needed, too
     small = {"cloth": cloth, "obstacle": [ball] if scene.obstacle else [], "settings": settings}
-    for kind in kinds_in_force(scene.settings).values():
-        kind.load()
-    with event.install_listener("numba:compile", _Watch(bool(scene.obstacle), progress)):
-        Simulation(small).step()
+    kinds = kinds_in_force(s).values()
+    rules = {kernel_of(kind, s) for kind in kinds}
+    exact = s.newton > FILTERED
+
+    def needed(kernel: Dispatcher) -> bool:
+        module, name = kernel.py_func.__module__, kernel.py_func.__name__
+        if name.endswith("curvature"):
+            return exact and module in {"sim.solve.system", *(kind.module for kind in kinds)}
+        if module.startswith("sim.springs."):
+            return kernel in rules
+        return bool(scene.obstacle) or not module.startswith("sim.contact")
+
+    with event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress)):
+        world = Simulation(small)
+        world.step()
+        if exact:
+            world.model.linearise(world.positions.copy(), world.velocities.copy(), NO_GAP_SPRINGS, 0.01, True)
     if progress is not None:
         progress(1, 1, "ready")
 
 
 class _Watch(event.Listener):
-    """Reports each kernel as its compilation starts."""
+    """Reports each of `kernels` as its compilation starts."""
 
-    def __init__(self, contact: bool, progress: Progress | None) -> None:
-        self.kernels = [k for k in KERNELS if contact or not k.py_func.__module__.startswith("sim.contact")]
+    def __init__(self, kernels: list[Dispatcher], progress: Progress | None) -> None:
+        self.kernels = kernels
         self.progress = progress
 
     def on_start(self, event: event.Event) -> None:

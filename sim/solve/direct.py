@@ -23,23 +23,26 @@ def as_sparse(matrix: Matrix) -> csr_array:
 
 def solve_directly(
     matrix: Matrix, free: np.ndarray, masses: np.ndarray, b: np.ndarray, x: np.ndarray
-) -> float:
+) -> tuple[float, bool]:
     """Fill `x` (n, 3) with the solution of A x = b on `free` vertices, zero on the others.
 
     Returns:
-        The mass-weighted size of the last correction, an estimate of the error; inf for a singular matrix.
+        The mass-weighted size of the last correction, an estimate of the error, and whether A is positive
+        definite: the factors are L D Lᵀ, since nothing but the diagonal is pivoted on, and D has as many
+        negative entries as A has negative eigenvalues (Sylvester 1852).
     """
     kept = np.flatnonzero(np.repeat(free, 3))
     x[:] = 0.0
     if not len(kept):
-        return 0.0
+        return 0.0, True
     a = csc_array(as_sparse(matrix)[kept][:, kept])
     try:
         factors = splu(a, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError:
-        return np.inf
+        return np.inf, False
     right = b.ravel()[kept]
     solution = factors.solve(right)
     correction = factors.solve(right - a @ solution)
     x.ravel()[kept] = solution + correction
-    return float(np.sqrt(np.repeat(masses, 3)[kept] @ correction**2))
+    definite = bool((factors.U.diagonal() > 0.0).all())
+    return float(np.sqrt(np.repeat(masses, 3)[kept] @ correction**2)), definite

@@ -141,8 +141,8 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     rest = model.masses[:, None] * change + h * forces
     if settings.solver == "direct":
         step = np.empty_like(rest)
-        error = solve_directly(model.matrix, model.free, model.masses, rest, step)
-        broken = not np.isfinite(step).all() or float(np.sum(step * rest)) < 0.0
+        error, definite = solve_directly(model.matrix, model.free, model.masses, rest, step)
+        broken = not (definite and np.isfinite(step).all())
         return _Linear(step, 1, error * to_metres, error * to_metres <= settings.tolerance, broken)
     refresh(model.preconditioner, model.matrix)
     step, allowed = guess.copy(), settings.tolerance / to_metres
