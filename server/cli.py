@@ -41,7 +41,7 @@ class Lab:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"--port: expected 0 to 65535, got {self.port}")
         load_scene(self.scene)
-        from server.lab import run_lab
+        from server.launch import run_lab
 
         run_lab(self.scene, self.host, self.port, not self.no_browser)
         return 0

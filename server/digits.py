@@ -7,18 +7,23 @@ import math
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def number_text(value: float) -> str:
-    """Four digits, without an exponent where that is short enough: 10000, 0.0001, 1e-06."""
-    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
+def number_text(value: float, digits: int = 4) -> str:
+    """So many digits, without an exponent where that is short enough: 10000, 0.0001, 1e-06."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.{digits}g}"
 
 
-def written(value: float) -> str:
+def written(value: float, digits: int = 4) -> str:
     """The same for reading only: 10⁻⁶, 2.5·10⁻⁷."""
-    digits, e, power = number_text(value).partition("e")
+    factor, e, power = number_text(value, digits).partition("e")
     if not e:
-        return digits
-    ten = f"10{str(int(power)).translate(SUPERSCRIPT)}"
-    return {"1": ten, "-1": f"-{ten}"}.get(digits, f"{digits}·{ten}")
+        return factor
+    ten = power_of_ten(int(power))
+    return {"1": ten, "-1": f"-{ten}"}.get(factor, f"{factor}·{ten}")
+
+
+def power_of_ten(power: int) -> str:
+    """As 10⁻⁶."""
+    return f"10{str(power).translate(SUPERSCRIPT)}"
 
 
 def short(value: float) -> str:
@@ -27,7 +32,7 @@ def short(value: float) -> str:
         return f"{value / 1000:.3g}k"
     power = math.log10(value)
     if power < -2.5 and abs(power - round(power)) < 1e-9:
-        return f"10{str(round(power)).translate(SUPERSCRIPT)}"
+        return power_of_ten(round(power))
     return f"{value:.2g}"
 
 

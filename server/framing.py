@@ -6,14 +6,21 @@ from typing import TypeGuard
 
 import numpy as np
 
-from sim.mesh import Mesh
+from sim.mesh import Mesh, vertex_masses
 from sim.scene import Box, Capsule, Plane, Scene, Sphere
 
 GAP = 0.04
 """Room between neighbours, as a share of the scene's own width."""
 
 SLENDER = 0.5
-"""Least width of a variant's place, as a share of its height: a strip needs room to curl, its label too."""
+"""Least width of a variant's place, as a share of its size: a strip needs room to curl, its label too."""
+
+LABEL_ROOM, LABEL_CLEAR, LABEL_HEIGHT = 0.17, 0.06, 0.2
+"""Of labels, as shares of the size: height above everything, and above what a camera sees of the cloth;
+and their own, with a few lines."""
+
+NO_SIZE = 1.0
+"""Size [m] that a single point is framed with."""
 
 DIRECTION = (0.25, -1.0, 0.42)
 """From what is looked at to the camera, where the scene's author says nothing."""
@@ -28,24 +35,31 @@ class Framing:
 
     Attributes:
         offsets: (variants, 3) where each variant's origin is put [m].
+        size: Largest extent [m] of a variant, with all obstacles and where its cloth may get to.
+        scale: What thickness of strands is to be measured by [m]; larger where the view must hold more.
         floor: Height [m] of the ground.
         label_place: (3,) middle of the coloured bar that a variant's label stands on [m].
         bar: (3,) that bar, from end to end [m].
     """
 
     def __init__(self, scene: Scene, mesh: Mesh, count: int):
-        points = np.concatenate([mesh.vertices, hanging(mesh), *map(obstacle_corners, scene.obstacle)])
+        down = downward(scene)
+        way = [mesh.vertices, hanging(mesh, (1.0 + droop(scene, mesh)) * down), swung(mesh, down)]
+        points = np.concatenate([*way, *map(obstacle_corners, scene.obstacle)])
+        self.size = float(np.ptp(points, axis=0).max()) or NO_SIZE
         self._low, self._high = points.min(axis=0), points.max(axis=0)
         self._toward = self._view_direction(scene)
         self._right = np.cross([0.0, 0.0, 1.0], self._toward)
         self._right /= np.linalg.norm(self._right)
+        self._up = np.cross(self._toward, self._right)
         across = points @ self._right
         height = self._high[2] - self._low[2]
-        self._width = max(float(np.ptp(across)), SLENDER * height)
+        self._width = max(float(np.ptp(across)), SLENDER * self.size)
         steps = (np.arange(count) - (count - 1) / 2) * self._width * (1 + GAP)
         self.offsets = np.outer(steps, self._right)
+        self.scale = max(self.size, count * self._width / 2)
         self._target = (self._low + self._high) / 2
-        self.label_place = np.array([*middle(mesh)[:2], self._high[2] + 0.17 * max(height, self._width)])
+        self.label_place = self._above(middle(mesh, down), np.concatenate(way), max(height, self._width))
         self.bar = 0.45 * self._width * self._right
         self.floor = self._floor(scene, max(height, self._width))
 
@@ -62,19 +76,24 @@ class Framing:
         floors = [o.point[2] for o in scene.obstacle if is_floor(o)]
         return max(floors) if floors else float(self._low[2]) - 0.2 * size
 
+    def _above(self, middle: np.ndarray, cloth: np.ndarray, size: float) -> np.ndarray:
+        """(3,) the point over `middle` that is above all else, and is also seen above the cloth's far end."""
+        clear = (cloth @ self._up).max() + LABEL_CLEAR * size - middle[:2] @ self._up[:2]
+        return np.array([*middle[:2], max(self._high[2] + LABEL_ROOM * size, clear / self._up[2])])
+
     def camera(self, aspect: float = ASPECT, fov: float = FIELD_OF_VIEW) -> tuple[np.ndarray, np.ndarray]:
         """Position and target [m] of a camera with this width over height and vertical angle [rad].
 
         The view holds all variants with their labels; what is beside the docks is not part of it.
         """
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        top = np.array([0.0, 0.0, self.label_place[2] + 0.15 * self._width - self._high[2]])
+        label = LABEL_HEIGHT * max(self.size, self._width)
+        top = np.array([0.0, 0.0, self.label_place[2] + label - self._high[2]])
         points = self._low + corners * (self._high + top - self._low)
         sides = self._target + np.outer([-0.5, 0.5], self._width * self._right)
         points = np.concatenate([points, sides])
         points = (points[None] + self.offsets[:, None]).reshape(-1, 3) - self._target
-        up = np.cross(self._toward, self._right)
-        depth, across, above = points @ self._toward, points @ self._right, points @ up
+        depth, across, above = points @ self._toward, points @ self._right, points @ self._up
         tangent = np.tan(fov / 2)
         distance = np.max(
             depth + 1.03 * np.maximum(np.abs(across) / (tangent * aspect), np.abs(above) / tangent)
@@ -82,21 +101,56 @@ class Framing:
         return self._target + self._toward * distance, self._target
 
 
-def middle(mesh: Mesh) -> np.ndarray:
+def downward(scene: Scene) -> np.ndarray:
+    """(3,) unit vector along which cloth falls; zero without gravity."""
+    gravity = np.array(scene.settings.gravity)
+    return gravity / (np.linalg.norm(gravity) or 1.0)
+
+
+def droop(scene: Scene, mesh: Mesh) -> float:
+    """By which share of its length a strand that is let go stretches at most, one metre per metre at worst.
+
+    That is twice what it does at rest. Sheets share the weight out among too many edges to stretch visibly.
+    """
+    if len(mesh.triangles):
+        return 0.0
+    s = scene.settings
+    masses = vertex_masses(mesh, s.mass, s.density)
+    masses[mesh.pinned] = 0.0
+    weight = np.bincount(mesh.pieces, masses).max() * np.linalg.norm(s.gravity)
+    return min(2.0 * float(weight) / max(s.stretch, 1e-9), 1.0)
+
+
+def middle(mesh: Mesh, down: np.ndarray) -> np.ndarray:
     """(3,) middle [m] of where the cloth can be: half-way from its start to hanging straight down."""
-    start, below = mesh.vertices.mean(axis=0), hanging(mesh)
+    start = np.concatenate([mesh.vertices, swung(mesh, down)]).mean(axis=0)
+    below = hanging(mesh, down)
     return (start + below.mean(axis=0)) / 2 if len(below) else start
 
 
-def hanging(mesh: Mesh) -> np.ndarray:
-    """(k, 3) points [m] below the pins, as deep as the cloth can hang from them; none without pins."""
+def hanging(mesh: Mesh, down: np.ndarray) -> np.ndarray:
+    """(k, 3) points [m] below the pins, as deep as the cloth can hang from them; none if it cannot hang.
+
+    `down` is where a metre of it hangs to.
+    """
     pins = mesh.vertices[mesh.pinned]
-    if not len(pins):
-        return pins
+    if not len(pins) or not down.any():
+        return np.empty((0, 3))
     nearest = np.full(len(mesh.vertices), np.inf)
     for pin in pins:
         nearest = np.minimum(nearest, np.linalg.norm(mesh.vertices - pin, axis=1))
-    return pins - [0.0, 0.0, float(nearest.max())]
+    return pins + float(nearest.max()) * down
+
+
+def swung(mesh: Mesh, down: np.ndarray) -> np.ndarray:
+    """(k, 3) points [m] that cloth with a single pin swings to: its start on the other side of the pin."""
+    pinned_pieces, counts = np.unique(mesh.pieces[mesh.pinned], return_counts=True)
+    points = [np.empty((0, 3))]
+    for piece in pinned_pieces[counts == 1] if down.any() else ():
+        (pin,) = mesh.vertices[mesh.pinned[mesh.pieces[mesh.pinned] == piece]]
+        arm = mesh.vertices[mesh.pieces == piece] - pin
+        points.append(pin + 2 * np.outer(arm @ down, down) - arm)
+    return np.concatenate(points)
 
 
 def obstacle_corners(obstacle: Sphere | Plane | Box | Capsule) -> np.ndarray:

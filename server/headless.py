@@ -132,6 +132,7 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
     phases = dict.fromkeys(name for report in reports for name in report.ms)
     ms = {name: median(report.ms.get(name, 0.0) for report in reports) for name in phases}
     dt = world.settings.dt
+    linear, angular = world.momentum()
     return {
         "scene": world.scene.name,
         "version": sim.__version__,
@@ -148,6 +149,10 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
         "contacts": _spread(report.contacts for report in reports),
         "penetrations": _spread(report.penetrations for report in reports),
         "energy": world.energy(),
+        "energy_injected": sum(report.energy_injected for report in reports),
+        "energy_jumps": sum(report.energy_jumps for report in reports),
+        "momentum": {"linear": linear.tolist(), "angular": angular.tolist()},
+        "effects": reports[-1].effects if reports else {},
     }
 
 
@@ -171,4 +176,8 @@ def _table(summary: dict[str, Any]) -> Table:
         table.add_row(f"{name}: mean, most", f"{spread['mean']:.1f}, {spread['most']:,}")
     for name, value in summary["energy"].items():
         table.add_row(f"{name} energy at the end [J]", f"{value:.4g}")
+    for name, unit in (("linear", "kg m/s"), ("angular", "kg m²/s")):
+        table.add_row(f"{name} momentum at the end [{unit}]", f"{math.hypot(*summary['momentum'][name]):.4g}")
+    for name, words in summary["effects"].items():
+        table.add_row(f"{name} in the last step", words)
     return table

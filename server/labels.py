@@ -1,4 +1,4 @@
-"""What stands above each cloth: name, milliseconds per step, vertices inside; or why it stands still."""
+"""What is said of each cloth: name, milliseconds per step, vertices inside; or what is wrong with it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,38 @@ import textwrap
 
 from server.meter import Meter
 from server.style import UNKNOWN
+from sim.settings import Settings
+from sim.springs import BENDING
 
 WIDTH = 34
 """Characters of a line; two cloths side by side leave no room for more."""
+
+ON_PURPOSE = "wrong on purpose"
+"""Said of a variant that shows a mistake."""
+
+UNSTABLE = "unstable"
+"""How an effect begins that cannot work with the present time step."""
+
+
+def what_is_wrong(settings: Settings | None) -> str:
+    """What is wrong, on purpose, with the spring kind of a variant; empty for the right ones."""
+    kind = BENDING.get(settings.bend) if settings else None
+    return getattr(kind, "wrong", "")
+
+
+def wrong_on_purpose(settings: Settings | None) -> str:
+    """That a variant shows a mistake; empty for those that do not."""
+    return ON_PURPOSE if what_is_wrong(settings) else ""
+
+
+def is_unstable(effect: object) -> bool:
+    """Whether a step's word about one of its effects is that it was unstable."""
+    return str(effect).startswith(UNSTABLE)
+
+
+def effects(meter: Meter) -> dict[str, str]:
+    """Each effect of the newest step and whether it ran, or why not; none before the first."""
+    return getattr(meter.latest.report, "effects", None) or {}
 
 
 def label(name: str, meter: Meter, waiting: str = "", behind: float = 0.0) -> tuple[str, bool]:
@@ -20,12 +49,24 @@ def label(name: str, meter: Meter, waiting: str = "", behind: float = 0.0) -> tu
         waiting: What it waits for, if it is not ready.
         behind: Simulated time [s] that it lags behind the others after having been stopped.
     """
-    if meter.latest.refused:
-        return "\n".join([f"▲ {name} stopped", *textwrap.wrap(meter.latest.refused, WIDTH)[:4]]), True
-    if waiting:
-        return f"{name}\n{waiting}", False
+    remarks = [
+        wrong_on_purpose(meter.latest.settings),
+        "▲ unstable step" if any(map(is_unstable, effects(meter).values())) else "",
+    ]
+    alarm = bool(meter.latest.refused)
+    if alarm:
+        lines = [f"▲ {name} stopped", *textwrap.wrap(meter.latest.refused, WIDTH)[:4]]
+    elif waiting:
+        lines = [name, waiting]
+    else:
+        late = f"{behind:.1f} s behind" if behind else ""
+        lines = [name, measured(meter), late]
+    return "\n".join(filter(None, [*lines, *remarks])), alarm
+
+
+def measured(meter: Meter) -> str:
+    """Milliseconds per step and vertices inside, as far as they are known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
     inside = UNKNOWN if meter.inside is None else str(meter.inside)
     mark = "▲ " if meter.inside else ""
-    late = f"\n{behind:.1f} s behind" if behind else ""
-    return f"{name}\n{ms} ms · {mark}{inside} inside{late}", False
+    return f"{ms} ms · {mark}{inside} inside"

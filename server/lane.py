@@ -57,6 +57,7 @@ class Frame:
         ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
         report: The last step's report, None before the first.
         energy: Energies [J] by kind.
+        momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
         settings: In force when the frame was made.
         refused: Why the last step was refused; empty while all is well.
         note: Why the last change of settings was refused; empty if it was not.
@@ -69,6 +70,7 @@ class Frame:
     ms: Mapping[str, float] | None = None
     report: Any = None
     energy: Mapping[str, float] = field(default_factory=dict)
+    momentum: tuple[np.ndarray, np.ndarray] | None = None
     settings: Settings | None = None
     refused: str = ""
     note: str = ""
@@ -225,6 +227,7 @@ class Lane(threading.Thread):
             ms=mean_ms(self._spent),
             report=self._report,
             energy=dict(world.energy()),
+            momentum=world.momentum(),
             settings=world.settings,
             refused=self._refused,
             note=self._note,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from server.lane import Frame, mean_ms
 
 
@@ -40,3 +42,17 @@ class Meter:
             self.ms = self.inside = None
         self._frames = []
         return self
+
+    def energies(self) -> tuple[float, float]:
+        """Total and kinetic energy [J] of the newest frame; nan, a gap in a plot, while it stands still."""
+        energy = self.latest.energy
+        if self.latest.refused or not energy:
+            return np.nan, np.nan
+        return sum(energy.values()), energy.get("kinetic", np.nan)
+
+    def momenta(self) -> tuple[float, float]:
+        """Size of the linear [kg m/s] and the angular momentum [kg m²/s] of the newest frame, or nan."""
+        if self.latest.refused or self.latest.momentum is None:
+            return np.nan, np.nan
+        linear, angular = map(np.linalg.norm, self.latest.momentum)
+        return float(linear), float(angular)

@@ -12,8 +12,8 @@ import numpy as np
 
 from sim.scene import Box, Capsule, Plane, Sphere
 
-AROUND, ALONG = 48, 24
-"""How finely round shapes are drawn."""
+DETAIL = 24
+"""How finely round shapes are drawn: rings from the middle to a pole, and half the points of a ring."""
 
 PLANE_SIZE = 1.6
 """Side [m] of the square that stands for an infinite plane."""
@@ -53,21 +53,22 @@ def frame_along(axis: np.ndarray) -> np.ndarray:
     return np.column_stack([first, np.cross(third, first), third])
 
 
-def capsule(half: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """A capsule from −half to +half; a sphere for half = 0."""
-    polar = np.linspace(0.0, np.pi, 2 * ALONG)
-    turn = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
+def capsule(half: np.ndarray, radius: float, detail: int = DETAIL) -> tuple[np.ndarray, np.ndarray]:
+    """A capsule from −half to +half; a sphere for half = 0. `detail` is how many rings each end has."""
+    around = 2 * detail
+    polar = np.linspace(0.0, np.pi, 2 * detail)
+    turn = np.linspace(0.0, 2 * np.pi, around, endpoint=False)
     height = radius * np.cos(polar) + np.where(polar < np.pi / 2, 1, -1) * np.linalg.norm(half)
     ring = radius * np.sin(polar)
     local = np.stack(
-        [np.outer(ring, np.cos(turn)), np.outer(ring, np.sin(turn)), np.outer(height, np.ones(AROUND))],
+        [np.outer(ring, np.cos(turn)), np.outer(ring, np.sin(turn)), np.outer(height, np.ones(around))],
         axis=-1,
     )
     vertices = local.reshape(-1, 3) @ frame_along(half).T
-    a = (np.arange(2 * ALONG - 1)[:, None] * AROUND + np.arange(AROUND)).ravel()
-    b = (np.arange(2 * ALONG - 1)[:, None] * AROUND + (np.arange(AROUND) + 1) % AROUND).ravel()
+    a = (np.arange(2 * detail - 1)[:, None] * around + np.arange(around)).ravel()
+    b = (np.arange(2 * detail - 1)[:, None] * around + (np.arange(around) + 1) % around).ravel()
     triangles = np.concatenate(
-        [np.column_stack([a, a + AROUND, b]), np.column_stack([b, a + AROUND, b + AROUND])]
+        [np.column_stack([a, a + around, b]), np.column_stack([b, a + around, b + around])]
     )
     return vertices.astype(np.float32), triangles
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import viser
 
+from server.cloth import draw_cloth
 from server.framing import ASPECT, FIELD_OF_VIEW, Framing, is_floor
 from server.lane import Frame
-from server.palette import BLACK, GROUND, INK, STONE, VARIANTS, WHITE
+from server.palette import BLACK, GROUND, STONE, VARIANTS, WHITE
 from server.shapes import capsule, obstacle_mesh, quaternion, standing
 from sim.mesh import Mesh
 from sim.scene import Plane, Scene
@@ -109,7 +110,7 @@ class Stage:
         """Draw the cloth's triangles as fine lines, or not."""
         self.show_mesh_lines = visible
         for place in self._places:
-            place.lines.visible = visible
+            place.show_lines(visible)
 
 
 class Place:
@@ -140,36 +141,7 @@ class Place:
             font_screen_scale=LABEL,
             anchor="bottom-center",
         )
-        # Two meshes, one per side, since viser's have one colour: the reverse is paler, as in printed cloth.
-        # Neither receives shadows: cloth this thin only shows the map's resolution, as stripes.
-        side = {"receive_shadow": False, "faces": mesh.triangles, "vertices": mesh.vertices}
-        self._face = api.add_mesh_simple(f"{root}/cloth", color=color, side="front", **side)
-        self._reverse = api.add_mesh_simple(
-            f"{root}/reverse",
-            color=color.toward(WHITE, 0.5).toward(STONE, 0.2),
-            side="back",
-            cast_shadow=False,
-            **side,
-        )
-        self.lines = api.add_mesh_simple(
-            f"{root}/lines",
-            color=color.toward(INK, 0.6),
-            wireframe=True,
-            opacity=0.35,
-            cast_shadow=False,
-            visible=False,
-            **side,
-        )
-        pins = mesh.vertices[mesh.pinned].astype(np.float32)
-        if len(pins):
-            api.add_point_cloud(
-                f"{root}/pins",
-                pins,
-                INK,
-                point_size=0.012,
-                point_shape="circle",
-                precision="float32",
-            )
+        self._cloth = draw_cloth(api, root, mesh, color, framing.scale)
         self._moving = {}
         for k, obstacle in enumerate(scene.obstacle):
             if is_floor(obstacle):
@@ -192,14 +164,17 @@ class Place:
         """Move cloth and obstacles to where a frame has them."""
         if frame.positions is None:
             return
-        self._face.vertices = frame.positions
-        self._reverse.vertices = frame.positions
-        if self.lines.visible:
-            self.lines.vertices = frame.positions
+        for part in self._cloth:
+            part.move(frame.positions)
         for k, solid in self._moving.items():
             position, rotation = frame.poses[k]
             solid.position = position
             solid.wxyz = quaternion(rotation)
+
+    def show_lines(self, visible: bool) -> None:
+        """Draw the cloth's triangles as fine lines, or not."""
+        for part in self._cloth:
+            part.show_lines(visible)
 
     def write(self, text: str, alarm: bool) -> None:
         """Set the label, without touching what is the same already."""

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from server import style
 from server.digits import written
+from server.labels import ON_PURPOSE, effects, is_unstable, what_is_wrong
 from server.meter import Meter
 from server.palette import VARIANTS
 
@@ -51,43 +54,73 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
         rows.append(f"<tr>{title}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
         if trouble := meter.latest.refused or meter.latest.note:
             rows.append(f'<tr><td colspan="5" class="bad">{escape(trouble)}</td></tr>')
+        if wrong := what_is_wrong(meter.latest.settings):
+            phrase = escape(f"{ON_PURPOSE}: {wrong}")
+            rows.append(f'<tr><td colspan="5" class="small">{phrase}</td></tr>')
     head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms/step", "iterations", "contacts", "inside"))
     return f'<div class="muslin"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
 
 
-def energy_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
-    """Every kind of energy, a column for each variant."""
-    kinds = dict.fromkeys(k for m in meters for k in m.latest.energy)
+def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
+    """Every kind of energy [J] and the size of both momenta, a column for each variant."""
+    many = len(meters) > 2
+    rows = energy_rows(meters, 3 if many else 4) + momentum_rows(meters, 3 if many else 4)
+    if not rows:
+        return ""
     head = "".join(f"<th>{style.chip(VARIANTS[i])}{escape(n)}</th>" for i, n in enumerate(names))
-    largest = max((abs(e) for m in meters for e in m.latest.energy.values()), default=0.0)
+    lines = [
+        f'<tr><td class="dim">{escape(title)}</td>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
+        for title, cells in rows
+    ]
+    looks = "muslin many" if many else "muslin"
+    return f'<div class="{looks}"><table><tr><th></th>{head}</tr>{"".join(lines)}</table></div>'
+
+
+def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
+    """A row for every kind of energy [J]: its name, and the variants' numbers."""
+    energies = [meter.latest.energy for meter in meters]
+    largest = max((abs(e) for energy in energies for e in energy.values()), default=0.0)
     floor = max(NOTHING, SLIGHT * largest)
-    rows = []
-    for kind in kinds:
-        cells = "".join(
-            f"<td>{energy_text(m.latest.energy[kind], floor)}</td>"
-            if kind in m.latest.energy
-            else f"<td>{style.UNKNOWN}</td>"
-            for m in meters
+    return [
+        (kind, [energy_text(e[kind], floor, digits) if kind in e else style.UNKNOWN for e in energies])
+        for kind in dict.fromkeys(kind for energy in energies for kind in energy)
+    ]
+
+
+def momentum_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
+    """The same for the sizes of linear and angular momentum; none before there is a simulation.
+
+    What rounding alone makes is shown: that it is no more than that is what there is to be seen.
+    """
+    momenta = [meter.latest.momentum for meter in meters]
+    if all(momentum is None for momentum in momenta):
+        return []
+    return [
+        (
+            title,
+            [style.UNKNOWN if m is None else written(float(np.linalg.norm(m[k])), digits) for m in momenta],
         )
-        rows.append(f'<tr><td class="dim">{escape(kind)}</td>{cells}</tr>')
-    return f'<div class="muslin"><table><tr><th></th>{head}</tr>{"".join(rows)}</table></div>' if rows else ""
+        for k, title in enumerate(("|P| [kg m/s]", "|L| [kg m²/s]"))
+    ]
 
 
-def energy_text(energy: float, floor: float) -> str:
+def energy_text(energy: float, floor: float, digits: int) -> str:
     """An energy [J], or 0 where it is smaller than what means anything."""
-    return "0" if abs(energy) < floor else written(energy)
+    return "0" if abs(energy) < floor else written(energy, digits)
 
 
 def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     """Which effects ran in each variant, and why not, where they did not."""
     parts = []
     for i, (name, meter) in enumerate(zip(names, meters, strict=True)):
-        report = meter.latest.report
-        effects = getattr(report, "effects", None) or {}
-        rows = "".join(
-            f"<tr><td>{escape(str(k))}</td><td>{escape(str(v))}</td></tr>" for k, v in effects.items()
-        )
+        rows = "".join(effect_row(k, v) for k, v in effects(meter).items())
         parts.append(
             f"<h1>{style.chip(VARIANTS[i])}{escape(name)}</h1><table>{rows or style.UNKNOWN}</table>"
         )
     return f'<div class="muslin">{"".join(parts)}</div>'
+
+
+def effect_row(name: str, word: str) -> str:
+    """What a step says about one effect; an unstable one is bad."""
+    look = "bad" if is_unstable(word) else ""
+    return f'<tr class="{look}"><td>{escape(str(name))}</td><td>{escape(str(word))}</td></tr>'

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from sim.model import Model
 from sim.report import StepReport
 from sim.settings import Settings
@@ -17,7 +19,8 @@ def effects(
         model: Its springs.
         report: Of the step, with the number of contacts.
         obstacles: Whether the scene has any.
-        limit: Longest stable step of an explicit integrator [s], None for an implicit one.
+        limit: Longest stable step of an explicit integrator [s], None for an implicit one, nan where there is
+            none because the springs are wrong.
     """
     found = {"gravity": "ran" if any(settings.gravity) else "off: zero"}
     for springs in model.springs:
@@ -49,5 +52,7 @@ def _integrator(settings: Settings, report: StepReport, limit: float | None) -> 
     name = settings.integrator
     if limit is None:
         return f"{report.integrator}, not {name}: contact" if report.integrator != name else name
+    if math.isnan(limit):
+        return f"{name}: no step is stable with springs that make energy out of nothing"
     words = f"{name}: stable up to {1e3 * limit:.3g} ms"
     return f"unstable: {words}, dt is {1e3 * settings.dt:.3g} ms" if settings.dt > limit else words

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import eigsh
 
 from sim.damping import apparent
 from sim.integrators import INTEGRATORS
-from sim.scene import Scene
+from sim.scene import Scene, load_scene
 from sim.simulation import Simulation
 from sim.solve.stability import system_matrices
 from sim.statics import equilibrium
@@ -70,20 +70,29 @@ class ModalDamping:
 
 
 def modal_damping(
-    scene: Scene | str | Path | dict[str, Any], mode: int = 0, **overrides: Any
+    scene: Scene | str | Path | dict[str, Any],
+    mode: int = 0,
+    longest: float = math.inf,
+    **overrides: Any,
 ) -> ModalDamping:
     """Measure the damping ratio of a mode of `scene` about its equilibrium, contact left out.
+
+    Cloth that nothing but an obstacle holds is measured as it floats, without gravity.
 
     Args:
         scene: As for Simulation.
         mode: 0 is the slowest that deforms the cloth; −1 the fastest.
+        longest: Leave out modes with a longer period [s], which take as long to measure.
         overrides: Settings that differ from the scene's.
 
     Raises:
         SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also where no such mode is.
     """
-    world = equilibrium(scene, **{**overrides, "contact": "none"})
-    frequency, shape = cloth_mode(world, mode)
+    scene, overrides = load_scene(scene), {**overrides, "contact": "none"}
+    if not all(cloth.pins for cloth in scene.cloth):
+        overrides["gravity"] = (0.0, 0.0, 0.0)
+    world = equilibrium(scene, **overrides)
+    frequency, shape = cloth_mode(world, mode, longest)
     _, damping = system_matrices(world.model, world.positions)
     moving = shape.ravel()
     modal = float(moving @ (damping @ moving)) / (2.0 * frequency)
@@ -96,23 +105,26 @@ def modal_damping(
     return ModalDamping(frequency, s.gamma, modal, stepped, measured, rate)
 
 
-def cloth_mode(world: Simulation, mode: int = 0) -> tuple[float, np.ndarray]:
-    """Frequency ω [rad/s] and shape (n, 3), of unit mass-weighted norm, of a mode about the present state."""
+def cloth_mode(world: Simulation, mode: int = 0, longest: float = math.inf) -> tuple[float, np.ndarray]:
+    """Frequency ω [rad/s] and shape (n, 3), of unit mass-weighted norm, of a mode about the present state.
+
+    Arguments and errors are those of `modal_damping`.
+    """
     stiffness, _ = system_matrices(world.model, world.positions, exact=True)
     kept = np.flatnonzero(np.repeat(world.model.free, 3))
     scale = np.repeat(np.sqrt(world.masses), 3)[kept]
     scaled = diags_array(1.0 / scale) @ stiffness[kept][:, kept] @ diags_array(1.0 / scale)
     fastest = float(abs(scaled).sum(axis=1).max())  # no ω² exceeds it
+    slowest = max(RIGID * fastest, (2.0 * math.pi / longest) ** 2)
     if len(kept) <= 3 * DENSE:
         squares, shapes = eigh(scaled.toarray())
     elif mode < 0:
         squares, shapes = eigsh(scaled, k=-mode, which="LA", v0=np.ones(len(kept)))
     else:
-        below = -RIGID * fastest  # at zero itself, the matrix of a free piece is singular
-        squares, shapes = eigsh(scaled, k=mode + 8, sigma=below, which="LM", v0=np.ones(len(kept)))
+        squares, shapes = eigsh(scaled, k=mode + 1, sigma=slowest, which="LA", v0=np.ones(len(kept)))
     order = np.argsort(squares)
     squares, shapes = squares[order], shapes[:, order]
-    real = np.flatnonzero(squares > RIGID * fastest)
+    real = np.flatnonzero(squares > slowest)
     if not -len(real) <= mode < len(real):
         raise ValueError(f"mode: expected {-len(real)} to {len(real) - 1}, got {mode}")
     chosen = real[mode]

@@ -6,6 +6,7 @@ it was. The same scene, settings and seed give the same bits, on any number of t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -292,7 +293,7 @@ class Simulation:
         if INTEGRATORS[self.settings.integrator].implicit:
             self._limit = None
         elif self._limit is None:
-            self._limit = self.stability_limit()
+            self._limit = self.stability_limit() if self.model.conservative else math.nan
         return effects(self.settings, self.model, report, bool(self.scene.obstacle), self._limit)
 
 

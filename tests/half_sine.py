@@ -1,7 +1,4 @@
-"""A bending kind that Muslin does not have, as someone else would add it: q = 2 sin(θ/2).
-
-Bounded and monotone up to a half turn (Bridson, Marino and Fedkiw 2003); the gradient is cos(θ/2) ∇θ.
-"""
+"""Half-sine springs: q = 2 sin(θ/2), bounded and monotone up to a half turn (Bridson et al. 2003)."""
 
 import math
 
@@ -11,7 +8,7 @@ from sim.springs.angle import dihedral, dihedral_gradient, hinge_at
 
 @kernel
 def coordinate(positions, nodes, memory, q, gradient, new_memory):
-    """Fill q = 2 sin(θ/2) and its gradient; the memory is θ."""
+    """Fill q = 2 sin(θ/2) and its gradient cos(θ/2) ∇θ; the memory is θ."""
     for e in range(len(nodes)):
         hinge = hinge_at(positions, nodes, e)
         theta = memory[e, 0] if hinge.thin else dihedral(hinge, memory[e, 0])
@@ -19,8 +16,5 @@ def coordinate(positions, nodes, memory, q, gradient, new_memory):
         q[e] = 2.0 * math.sin(0.5 * theta)
         gradient[e] = 0.0
         if not hinge.thin:
-            g1, g2, g3, g4 = dihedral_gradient(hinge)
-            put_corner(gradient, e, 0, scale(math.cos(0.5 * theta), g1))
-            put_corner(gradient, e, 1, scale(math.cos(0.5 * theta), g2))
-            put_corner(gradient, e, 2, scale(math.cos(0.5 * theta), g3))
-            put_corner(gradient, e, 3, scale(math.cos(0.5 * theta), g4))
+            for a, g in enumerate(dihedral_gradient(hinge)):
+                put_corner(gradient, e, a, scale(math.cos(0.5 * theta), g))

@@ -1,5 +1,8 @@
 """A spring kind from outside the package: one module and one line in the registry, and it is everywhere."""
 
+import textwrap
+from pathlib import Path
+
 import numpy as np
 import pytest
 from worlds import grid, irregular, scene
@@ -15,6 +18,13 @@ LINE = SpringKind("half_sine", "bounded sine of half the angle", "hinges", (0, 1
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
     monkeypatch.setitem(BENDING, "half sine", LINE)
+
+
+def test_it_is_the_one_that_contributors_are_shown():
+    shown = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    module = (Path(__file__).parent / "half_sine.py").read_text(encoding="utf-8")
+    assert textwrap.indent(module, "   ", lambda line: bool(line.strip())) in shown
+    assert f'"{LINE.summary}", "{LINE.stencil}", {LINE.vertices}, "{LINE.stiffness}", memory=1' in shown
 
 
 def test_it_can_be_chosen_wherever_settings_are_read():

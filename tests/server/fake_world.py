@@ -71,6 +71,9 @@ class FakeWorld:
     def energy(self):
         return {"kinetic": 1.0, "gravity": float(self.positions[:, 2].sum())}
 
+    def momentum(self):
+        return np.array([3.0, 0.0, 4.0]), np.array([0.0, 2.5e-7, 0.0])
+
     def obstacle_poses(self):
         return [(np.array(o.reference), np.eye(3)) for o in self.scene.obstacle]
 

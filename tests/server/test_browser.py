@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from fake_world import wait_until
+from fake_world import FakeWorld, nothing_to_compile, wait_until
 
 from server.lab import Lab
 
@@ -21,6 +21,11 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine"),
 ]
+
+CHAIN = {
+    "cloth": {"vertices": [[0.1 * i, 0.0, 1.0] for i in range(10)], "edges": [[i, i + 1] for i in range(9)]},
+    "settings": {"gravity": [0.0, 0.0, 0.0]},
+}
 
 CLOTH = """name => {
     const nodes = window.__viserMutable?.nodeRefFromName ?? {};
@@ -55,17 +60,20 @@ def page(lab):
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=WITHOUT_GPU)
         page = browser.new_page(viewport={"width": 900, "height": 560})
-        page.set_default_timeout(PATIENCE)
-        page.errors = []
-        page.on(
-            "console", lambda message: page.errors.append(message.text) if message.type == "error" else None
-        )
-        page.on("pageerror", lambda error: page.errors.append(str(error)))
-        page.goto(lab.url)
+        visit(page, lab)
         page.wait_for_function(f"() => ({CLOTH})('variant1') != null")
         wait_until(lambda: lab.frames and all(frame.time > 0 for frame in lab.frames), seconds=120)
         yield page
         browser.close()
+
+
+def visit(page, lab):
+    """Open the lab's page, and note every error that it reports."""
+    page.set_default_timeout(PATIENCE)
+    page.errors = []
+    page.on("console", lambda message: page.errors.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: page.errors.append(str(error)))
+    page.goto(lab.url)
 
 
 def row(page, label):
@@ -149,7 +157,7 @@ def test_log_slider_box_takes_a_number(lab, page):
 def test_pause_step_and_reset(lab, page):
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play").wait_for()
-    wait_until(lambda: not any(lane.busy for lane in lab._lanes))
+    wait_until(lambda: not lab._bench.busy)
     before = [frame.time for frame in lab.frames]
     page.get_by_role("button", name="Step").click()
     wait_until(lambda: all(frame.time > t for frame, t in zip(lab.frames, before, strict=True)))
@@ -171,6 +179,43 @@ def test_another_setting_is_compared(lab, page):
     wait_until(lambda: len(set(settings(lab, "gamma"))) == 2, seconds=120)
     all_go_on(lab)
     row(page, "● right").get_by_role("slider").wait_for()
+
+
+ORANGE = """() => new Promise(done => {
+    const image = new Image();
+    const canvas = window.__viserMutable.canvas;
+    image.onload = () => {
+        const flat = new OffscreenCanvas(image.width, image.height).getContext('2d');
+        flat.drawImage(image, 0, 0);
+        const data = flat.getImageData(0, 0, image.width, image.height).data;
+        const rows = [];
+        for (let i = 0; i < data.length; i += 4)
+            if (data[i] - data[i + 2] > 90 && data[i + 3] > 200) rows.push(Math.floor(i / 4 / image.width));
+        done(rows.length ? rows[rows.length - 1] - rows[0] : 0);
+    };
+    image.src = (canvas.querySelector?.('canvas') ?? canvas).toDataURL();
+})"""
+"""From the first to the last row of the 3-D view that has something orange: of the bar alone, a few."""
+
+
+def test_chain_is_seen_without_a_triangle_and_without_an_error(page):
+    lab = Lab(CHAIN, port=0, build=FakeWorld, prepare=nothing_to_compile)
+    lab.start()
+    chain_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
+    visit(chain_page, lab)
+    for node in ("strands", "balls"):
+        chain_page.wait_for_function(
+            f"() => Object.keys(window.__viserMutable?.nodeRefFromName ?? {{}})"
+            f".some(key => key.endsWith('/variant0/{node}'))"
+        )
+    wait_until(lambda: lab.frames[0].time > 0)
+    lab.post(lab.pause)
+    lab.post(lab.reset)
+    wait_until(lambda: chain_page.evaluate(ORANGE) > 20, seconds=120)
+    chain_page.get_by_text("momentum, SI").wait_for()
+    assert chain_page.errors == []
+    chain_page.close()
+    lab.stop()
 
 
 def test_page_reported_no_error(page):

@@ -1,5 +1,7 @@
 """What variants share and what they differ in."""
 
+from types import SimpleNamespace
+
 import pytest
 from fake_world import SCENE
 
@@ -60,6 +62,26 @@ def test_friction_is_idle_only_where_no_variant_looks_for_contacts():
     none, some = Settings(contact="none"), Settings(contact="penalty")
     assert why_idle("friction", [none, some]) == ""
     assert "none" in why_idle("friction", [none, none])
+
+
+BARE = {"altitudes": "none", "bend": "none", "integrator": "symplectic_euler", "gamma": 0.0}
+"""Of settings, what leaves others idle."""
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("altitude", {"altitudes": "all"}),
+        ("adhoc_rule", {"bend": "adhoc"}),
+        ("newton", {"integrator": "backward_euler"}),
+        ("tolerance", {"integrator": "backward_euler"}),
+        ("compensate", {"gamma": 0.2}),
+    ],
+)
+def test_setting_idles_in_all_variants_or_in_none(name, changes):
+    idle, acting = SimpleNamespace(**BARE), SimpleNamespace(**{**BARE, **changes})
+    assert why_idle(name, [idle, idle])
+    assert why_idle(name, [idle, acting]) == ""
 
 
 def test_what_idles_are_settings():

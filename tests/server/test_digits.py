@@ -3,7 +3,7 @@
 from server.digits import number_text, round_above, round_below, short, written
 from server.lane import Frame
 from server.meter import Meter
-from server.tables import energy_table
+from server.tables import sums_table
 
 
 def test_numbers_are_short_and_without_needless_exponents():
@@ -28,7 +28,7 @@ def test_exponents_for_reading_are_raised():
 def energies(**kinds):
     meter = Meter()
     meter.add(Frame(energy=kinds))
-    return energy_table(["one"], [meter])
+    return sums_table(["one"], [meter])
 
 
 def test_energy_that_is_only_rounding_reads_zero():

@@ -28,8 +28,8 @@ def test_bench_stands_still_until_somebody_looks(lab):
     client.look()
     wait_until(lambda: all(time > 0.1 for time in times(lab)))
     client.close()
-    wait_until(lambda: not lab._server.get_clients())
-    wait_until(lambda: not any(lane.busy for lane in lab._lanes))
+    wait_until(lambda: not lab._page.server.get_clients())
+    wait_until(lambda: not lab._bench.busy)
     stopped = times(lab)
     threading.Event().wait(0.3)
     assert times(lab) == stopped
@@ -37,16 +37,16 @@ def test_bench_stands_still_until_somebody_looks(lab):
 
 def test_plots_end_with_the_newest_frame_after_a_pause(lab, client, monkeypatch):
     plotted = [0.0]
-    add = lab._charts.add
+    add = lab._page.charts.add
 
     def note(time, meters, moved):
         add(time, meters, moved)
         plotted.append(time if moved else plotted[-1])
 
-    monkeypatch.setattr(lab._charts, "add", note)
+    monkeypatch.setattr(lab._page.charts, "add", note)
     wait_until(lambda: times(lab)[0] > 0.1)
     press(client, "run", "❚❚ Pause")
-    wait_until(lambda: not lab._playing and not any(lane.busy for lane in lab._lanes))
+    wait_until(lambda: not lab._bench.playing and not lab._bench.busy)
     wait_until(lambda: plotted[-1] == max(times(lab)))
     assert plotted == sorted(plotted)
 
@@ -54,10 +54,10 @@ def test_plots_end_with_the_newest_frame_after_a_pause(lab, client, monkeypatch)
 def test_nothing_is_published_with_no_client(lab, client, monkeypatch):
     wait_until(lambda: times(lab)[0] > 0.1)
     shown = []
-    monkeypatch.setattr(lab._stage, "show", shown.append)
+    monkeypatch.setattr(lab._page.stage, "show", shown.append)
     wait_until(lambda: shown)
     client.close()
-    wait_until(lambda: not lab._server.get_clients())
+    wait_until(lambda: not lab._page.server.get_clients())
     threading.Event().wait(0.1)
     shown.clear()
     press_step = threading.Event()
@@ -71,13 +71,13 @@ def test_nothing_is_published_with_no_client(lab, client, monkeypatch):
 def test_variants_are_on_one_clock(lab, client):
     wait_until(lambda: times(lab)[0] > 0.5)
     press(client, "run", "❚❚ Pause")
-    wait_until(lambda: not lab._playing and not any(lane.busy for lane in lab._lanes))
+    wait_until(lambda: not lab._bench.playing and not lab._bench.busy)
     assert times(lab)[0] == pytest.approx(times(lab)[1])
 
 
 def test_step_makes_one_step_in_every_variant(lab, client):
     press(client, "run", "❚❚ Pause")
-    wait_until(lambda: not lab._playing and not any(lane.busy for lane in lab._lanes))
+    wait_until(lambda: not lab._bench.playing and not lab._bench.busy)
     before = [world.steps for world in FakeWorld.made]
     press(client, "run", "⇥ Step")
     wait_until(lambda: [world.steps for world in FakeWorld.made] == [n + 1 for n in before])
@@ -99,7 +99,7 @@ def test_shared_setting_reaches_every_variant_and_they_go_on(lab, client):
 
 def test_compared_setting_reaches_its_own_variant_only(lab, client):
     client.set(client.find("● left"), "none")
-    wait_until(lambda: [lane._world.settings.contact for lane in lab._lanes] == ["none", "impulse"])
+    wait_until(lambda: [lane._world.settings.contact for lane in lab._bench.lanes] == ["none", "impulse"])
     assert lab.comparison.name(0) == "none"
 
 
@@ -152,6 +152,88 @@ def test_labels_say_what_was_measured(lab, client):
 def test_scene_words_are_no_html(lab, client):
     wait_until(lambda: any("&lt;b&gt;" in str(m) for m in client.messages))
     assert not any("A <b>fake</b>" in str(m) for m in client.messages)
+
+
+WEIGHTLESS = {**SCENE, "settings": {"gravity": [0.0, 0.0, 0.0]}}
+
+
+def captions(client):
+    """The words of HTML elements that are seen now, by element."""
+    state = {uuid: dict(m["props"]) for uuid, m in list(client.controls.items()) if "Html" in m["type"]}
+    for message in list(client.messages):
+        if message["type"] == "GuiUpdateMessage" and message["uuid"] in state:
+            state[message["uuid"]].update(message["updates"])
+    return [props["content"] for props in state.values() if props["visible"]]
+
+
+def momentum_plot(client):
+    return [text for text in captions(client) if "momentum" in text]
+
+
+@pytest.fixture
+def open_lab():
+    """Opens labs on other scenes, with somebody who looks at each."""
+    opened = []
+
+    def open_lab(scene):
+        lab = Lab(scene, port=0, build=FakeWorld, prepare=nothing_to_compile)
+        client = RawClient(lab.url)
+        opened.append((lab, client))
+        lab.start()
+        client.look()
+        return lab, client
+
+    yield open_lab
+    for lab, client in opened:
+        client.close()
+        lab.stop()
+
+
+def test_momentum_is_plotted_while_nothing_pulls_or_holds_the_cloth(open_lab):
+    lab, client = open_lab(WEIGHTLESS)
+    wait_until(lambda: momentum_plot(client))
+    plot = lab._page.charts._momenta
+    wait_until(lambda: plot._plot._handle.visible)
+    assert [float(column[-1]) for column in plot._plot._handle.data[1:5]] == [5.0, 5.0, 2.5e-7, 2.5e-7]
+    lab.post(lab.set_shared, "gravity", (0.0, 0.0, -9.81))
+    wait_until(lambda: not momentum_plot(client) and not plot._plot._handle.visible)
+    lab.post(lab.set_shared, "gravity", (0.0, 0.0, 0.0))
+    wait_until(lambda: momentum_plot(client) and plot._plot._handle.visible)
+
+
+@pytest.mark.parametrize("hindrance", ["pins", "gravity"])
+def test_momentum_is_not_plotted_where_something_pulls_or_holds_the_cloth(open_lab, hindrance):
+    scene = SCENE if hindrance == "gravity" else {**WEIGHTLESS, "cloth": {**SCENE["cloth"], "pins": [0]}}
+    lab, client = open_lab(scene)
+    wait_until(lambda: lab._page.charts._energies._plot._handle.visible)
+    assert not momentum_plot(client)
+    assert any("|P| [kg m/s]</td><td>5</td>" in text for text in captions(client)), "the numbers are there"
+
+
+def test_strands_move_with_each_frame(open_lab):
+    chain = {"vertices": [[0, 0, 1], [1, 0, 1]], "edges": [[0, 1]]}
+    _, client = open_lab({**SCENE, "cloth": chain})
+
+    def moved(node, prop):
+        updates = [m for m in list(client.messages) if m["type"] == "SceneNodeUpdateMessage"]
+        return any(m["name"].endswith(f"/variant1/{node}") and prop in m["updates"] for m in updates)
+
+    wait_until(lambda: moved("strands", "points") and moved("balls", "batched_positions"))
+
+
+def test_scale_of_a_plot_says_in_which_power_of_ten_it_counts(lab):
+    plot = lab._page.charts._energies
+    plot.clear()
+    for time in (0.0, 1.0):
+        plot.add(time, [(2e-5, 1e-5), (float("nan"), float("nan"))])
+    assert "energy, 10⁻⁶ J · total and (dashed) kinetic" in plot._caption.content
+    assert plot._plot._handle.data[1] == pytest.approx([20.0, 20.0])
+    plot.add(2.0, [(1.0, 1.0), (0.0, 0.0)])
+    assert "energy, J" in plot._caption.content
+    plot.clear()
+    for time in (0.0, 1.0):
+        plot.add(time, [(1e-40, 0.0)])
+    assert "10⁻¹² J" in plot._caption.content, "noise does not fill the plot"
 
 
 def test_progress_of_compiling_is_shown_over_the_still(monkeypatch):
@@ -210,18 +292,17 @@ def test_stop_in_the_middle_of_a_step_ends_all_threads(client, lab):
         world.gate.clear()
     lab.stop()
     assert not lab._thread.is_alive()
-    assert not any(lane.is_alive() for lane in lab._lanes)
+    assert not any(lane.is_alive() for lane in lab._bench.lanes)
 
 
 PROGRAM = """
 import sys
 sys.path.insert(0, {tests!r})
-import server.lab
+import server.launch
 from fake_world import SCENE, FakeWorld, nothing_to_compile
-server.lab.build_world, server.lab.compile_kernels = FakeWorld, nothing_to_compile
-server.lab.webbrowser.open = lambda url: sys.stdout.write(f"opened {{url}}\\n")
-server.lab.Lab.__init__.__defaults__ = ("drape", "127.0.0.1", 8080, FakeWorld, nothing_to_compile)
-server.lab.run_lab(SCENE, port=0, open_browser={open_browser})
+server.launch.webbrowser.open = lambda url: sys.stdout.write(f"opened {{url}}\\n")
+server.launch.Lab.__init__.__defaults__ = ("drape", "127.0.0.1", 8080, FakeWorld, nothing_to_compile)
+server.launch.run_lab(SCENE, port=0, open_browser={open_browser})
 sys.stdout.write("ended cleanly\\n")
 """
 
@@ -253,7 +334,7 @@ def test_stopped_variant_has_no_numbers_and_a_revived_one_says_how_far_behind_it
     wait_until(lambda: times(lab)[0] > 0)
     lab.post(lab.set_own, 0, 200.0)
     wait_until(lambda: lab.frames[0].refused and times(lab)[1] > times(lab)[0] + 0.5)
-    wait_until(lambda: lab._meters[0].ms is None and lab._meters[1].ms is not None)
+    wait_until(lambda: lab._bench.meters[0].ms is None and lab._bench.meters[1].ms is not None)
     lab.post(lab.set_own, 0, 0.2)
     wait_until(lambda: any("s behind" in text for text in labels(client)))
 

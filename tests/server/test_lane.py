@@ -48,6 +48,7 @@ def test_lane_advances_by_the_time_asked_for(start):
     assert (frame.steps, frame.time) == (10, pytest.approx(0.1))
     assert frame.positions.dtype == "float32"
     assert frame.ms == {"solve": 1.0, "total": 1.0}
+    assert [part.tolist() for part in frame.momentum] == [[3.0, 0.0, 4.0], [0.0, 2.5e-7, 0.0]]
 
 
 def test_lanes_with_different_steps_stay_on_one_clock(start):

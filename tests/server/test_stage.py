@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fake_world import SCENE
 
-from server.framing import Framing, hanging
+from server.framing import Framing, droop, hanging, swung
 from server.shapes import obstacle_mesh, quaternion, standing
 from sim import load_scene
 from sim.mesh import build_mesh
@@ -61,6 +61,77 @@ def test_camera_sees_every_variant(count, aspect):
         assert (np.abs(seen @ up) <= depth * np.tan(0.3) * 1.001).all()
 
 
+CHAIN = {"vertices": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 0.0, 1.0]], "edges": [[0, 1], [1, 2]]}
+WEIGHTLESS = {"gravity": [0.0, 0.0, 0.0]}
+
+THIN = {
+    "a spring across": {"vertices": [[0, 0, 1], [1, 0, 1]], "edges": [[0, 1]]},
+    "a spring towards the camera": {"vertices": [[0, 0, 1], [-0.25, 1, 0.58]], "edges": [[0, 1]]},
+    "a level spring away from the camera": {"vertices": [[0, 0, 1], [0, 1, 1]], "edges": [[0, 1]]},
+    "an upright spring": {"vertices": [[0, 0, 1], [0, 0, 0]], "edges": [[0, 1]]},
+    "a point": {"vertices": [[0, 0, 0]]},
+    "a chain": CHAIN,
+}
+
+
+def seen(framing, points, aspect=0.94):
+    """Where on the screen points of every variant are, as shares of half its width and half its height."""
+    position, target = framing.camera(aspect, 0.6)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    points = (points + framing.offsets[:, None]).reshape(-1, 3) - position
+    half = points @ forward * np.tan(0.3)
+    return np.stack([points @ right / (half * aspect), points @ np.cross(right, forward) / half], axis=1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("settings", [{}, WEIGHTLESS], ids=["falling", "weightless"])
+@pytest.mark.parametrize("cloth", THIN.values(), ids=THIN)
+def test_thin_scenes_are_seen_whole_and_large_with_room_for_labels(cloth, settings, count):
+    scene = load_scene({**SCENE, "cloth": cloth, "obstacle": [], "settings": settings})
+    mesh = build_mesh(scene)
+    framing = Framing(scene, mesh, count)
+    bar = framing.label_place + np.outer([-0.5, 0.5], framing.bar)
+    places = seen(framing, np.concatenate([mesh.vertices, bar]))
+    assert (np.abs(places) <= 1.0).all()
+    assert np.ptp(places, axis=0).max() > 0.4, "of 2"
+    assert np.ptp(places[:, 0]) > 0.1 * count, "and labels do not lie over each other"
+    assert framing.scale > 0
+
+
+@pytest.mark.parametrize("cloth", THIN.values(), ids=THIN)
+def test_label_is_seen_above_its_cloth(cloth):
+    scene = load_scene({**SCENE, "cloth": cloth, "obstacle": []})
+    mesh = build_mesh(scene)
+    framing = Framing(scene, mesh, 1)
+    label = seen(framing, framing.label_place[None])
+    assert label[0, 1] > seen(framing, mesh.vertices)[:, 1].max()
+
+
+def test_pendulum_is_seen_on_its_other_side_too():
+    scene = load_scene({**SCENE, "cloth": {**CHAIN, "pins": [0]}, "obstacle": []})
+    mesh = build_mesh(scene)
+    framing = Framing(scene, mesh, 2)
+    other_side = mesh.vertices * [-1.0, 1.0, 1.0]
+    below = np.array([[0.0, 0.0, -1.0]])
+    assert (np.abs(seen(framing, np.concatenate([other_side, below]))) <= 1.0).all()
+    assert framing.label_place[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_cloth_with_two_pins_does_not_swing_round_either():
+    scene = load_scene({**SCENE, "cloth": {**CHAIN, "pins": [0, 2]}})
+    assert len(swung(build_mesh(scene), np.array([0.0, 0.0, -1.0]))) == 0
+
+
+def test_heavy_spring_stays_above_the_ground_when_it_is_let_go():
+    cloth = {"vertices": [[0, 0, 1], [0, 0, 0]], "edges": [[0, 1]], "masses": [0.5, 0.5], "pins": [0]}
+    settings = {"stretch": 50.0, "gravity": [0.0, 0.0, -10.0]}
+    scene = load_scene({**SCENE, "cloth": cloth, "obstacle": [], "settings": settings})
+    assert droop(scene, build_mesh(scene)) == pytest.approx(0.2), "twice 5 N over 50 N"
+    assert Framing(scene, build_mesh(scene), 2).floor < -0.3
+
+
 def test_variants_stand_from_left_to_right_and_apart():
     scene = load_scene(SCENE)
     framing = Framing(scene, build_mesh(scene), 4)
@@ -75,6 +146,8 @@ def test_strip_that_is_seen_edge_on_has_room_for_its_label_above_it():
     mesh = build_mesh(scene)
     framing = Framing(scene, mesh, 2)
     assert np.linalg.norm(np.diff(framing.offsets, axis=0)) >= 0.5 * np.ptp(mesh.vertices[:, 2])
-    low, high = np.sort([mesh.vertices.mean(axis=0), hanging(mesh).mean(axis=0)], axis=0)
+    low, high = np.sort(
+        [mesh.vertices.mean(axis=0), hanging(mesh, np.array([0.0, 0.0, -1.0])).mean(axis=0)], axis=0
+    )
     assert (low[:2] - 1e-9 <= framing.label_place[:2]).all()
     assert (framing.label_place[:2] <= high[:2] + 1e-9).all()

@@ -1,0 +1,132 @@
+"""One variant's cloth as the 3-D view shows it: sheets of triangles, and strands where there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from server.palette import INK, STONE, WHITE, Rgb
+from server.shapes import capsule
+from sim.mesh import Mesh
+
+THREAD, BALL = 0.012, 0.018
+"""Thickness of a strand and radius of the balls on it, as shares of the scene's scale."""
+
+CLOSE = 0.3
+"""Largest radius of a ball as a share of the median edge: on a fine chain they stay apart."""
+
+BALL_DETAIL = 8
+"""How finely a ball is drawn: there may be thousands."""
+
+PIN = 0.012
+"""Size [m] of the dots on pinned vertices of a sheet."""
+
+
+def bare_edges(mesh: Mesh) -> np.ndarray:
+    """(k, 2) edges that are sides of no triangle."""
+    number = np.array([len(mesh.vertices), 1], dtype=np.int64)
+    sides = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+    known, edges = np.sort(sides) @ number, np.sort(mesh.edges) @ number
+    return mesh.edges[~np.isin(edges, known)]
+
+
+def bare_vertices(mesh: Mesh) -> np.ndarray:
+    """(k,) vertices that end such an edge, or belong to no triangle; sorted."""
+    loose = np.setdiff1d(np.arange(len(mesh.vertices)), mesh.triangles)
+    return np.union1d(bare_edges(mesh), loose).astype(int)
+
+
+class Sheets:
+    """The triangles: each side in a tone of its own, and, if wanted, their edges as fine lines."""
+
+    def __init__(self, api: viser.SceneApi, root: str, mesh: Mesh, color: Rgb):
+        # Two meshes, one per side, since viser's have one colour: the reverse is paler, as in printed cloth.
+        # Neither receives shadows: cloth this thin only shows the map's resolution, as stripes.
+        side = {"receive_shadow": False, "faces": mesh.triangles, "vertices": mesh.vertices}
+        self._face = api.add_mesh_simple(f"{root}/cloth", color=color, side="front", **side)
+        self._reverse = api.add_mesh_simple(
+            f"{root}/reverse",
+            color=color.toward(WHITE, 0.5).toward(STONE, 0.2),
+            side="back",
+            cast_shadow=False,
+            **side,
+        )
+        self._lines = api.add_mesh_simple(
+            f"{root}/lines",
+            color=color.toward(INK, 0.6),
+            wireframe=True,
+            opacity=0.35,
+            cast_shadow=False,
+            visible=False,
+            **side,
+        )
+        pins = mesh.vertices[np.intersect1d(mesh.pinned, mesh.triangles)].astype(np.float32)
+        if len(pins):
+            api.add_point_cloud(
+                f"{root}/pins", pins, INK, point_size=PIN, point_shape="circle", precision="float32"
+            )
+
+    def move(self, positions: np.ndarray) -> None:
+        """Show vertices at positions (n, 3) [m]."""
+        self._face.vertices = positions
+        self._reverse.vertices = positions
+        if self._lines.visible:
+            self._lines.vertices = positions
+
+    def show_lines(self, visible: bool) -> None:
+        """Draw the edges, or not."""
+        self._lines.visible = visible
+
+
+class Strands:
+    """What has no triangle: edges as thick lines, with a ball at every vertex; pinned ones are dark."""
+
+    def __init__(self, api: viser.SceneApi, root: str, mesh: Mesh, color: Rgb, scale: float):
+        self._edges, self._vertices = bare_edges(mesh), bare_vertices(mesh)
+        ends = mesh.vertices[self._edges]
+        if len(ends):
+            self._lines = api.add_line_segments(f"{root}/strands", ends, color, thickness=THREAD * scale)
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        room = CLOSE * float(np.median(lengths)) if len(lengths) else np.inf
+        radius = max(min(BALL * scale, room), 0.5 * THREAD * scale)
+        ball, triangles = capsule(np.zeros(3), radius, BALL_DETAIL)
+        pinned = np.isin(self._vertices, mesh.pinned)[:, None]
+        self._balls = api.add_batched_meshes_simple(
+            f"{root}/balls",
+            ball,
+            triangles,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(self._vertices), 1)),
+            batched_positions=mesh.vertices[self._vertices],
+            batched_colors=np.where(pinned, INK, color).astype(np.uint8),
+            lod="off",
+            receive_shadow=False,
+        )
+
+    def move(self, positions: np.ndarray) -> None:
+        """Show vertices at positions (n, 3) [m]."""
+        if len(self._edges):
+            self._lines.points = positions[self._edges]
+        self._balls.batched_positions = positions[self._vertices]
+
+    def show_lines(self, visible: bool) -> None:
+        """Strands are lines already."""
+
+
+def draw_cloth(
+    api: viser.SceneApi, root: str, mesh: Mesh, color: Rgb, scale: float
+) -> list[Sheets | Strands]:
+    """Add what a cloth consists of to the scene, under the node `root`.
+
+    Args:
+        api: The scene.
+        root: Name of the node.
+        mesh: The cloth, where it starts.
+        color: The variant's.
+        scale: By which thickness is measured [m].
+    """
+    parts: list[Sheets | Strands] = []
+    if len(mesh.triangles):
+        parts.append(Sheets(api, root, mesh, color))
+    if len(bare_vertices(mesh)):
+        parts.append(Strands(api, root, mesh, color, scale))
+    return parts

@@ -1,0 +1,87 @@
+"""What is said of each cloth, above it and in the tables beside it."""
+
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+
+from server.labels import label, wrong_on_purpose
+from server.lane import Frame
+from server.meter import Meter
+from server.tables import effects_table, sums_table, variant_table
+from sim import Settings
+from sim.springs import BENDING
+
+
+def meter(**frame):
+    meter = Meter()
+    meter.add(Frame(**frame))
+    return meter
+
+
+@pytest.fixture
+def mistaken(monkeypatch):
+    """Settings with a bending kind that is wrong on purpose."""
+    stub = SimpleNamespace(summary="a stub", wrong="pushes on <nothing>")
+    monkeypatch.setitem(BENDING, "stub", stub)
+    return msgspec.structs.replace(Settings(), bend="stub")
+
+
+def report(effects):
+    return SimpleNamespace(iterations=1, contacts=0, penetrations=0, effects=effects)
+
+
+def test_mistake_is_labelled_as_wrong_on_purpose_and_is_no_alarm(mistaken):
+    assert label("stub", meter(settings=mistaken)) == ("stub\n– ms · – inside\nwrong on purpose", False)
+    table = variant_table("bending spring", ["stub"], [meter(settings=mistaken)])
+    assert "wrong on purpose: pushes on &lt;nothing&gt;" in table
+    assert 'class="bad"' not in table
+
+
+@pytest.mark.parametrize("bend", ["none", "cross", "angle"])
+def test_right_springs_and_variants_that_are_not_ready_say_nothing(bend):
+    assert wrong_on_purpose(Settings(bend=bend)) == ""
+    assert wrong_on_purpose(None) == ""
+    assert "purpose" not in variant_table("", ["one"], [meter(settings=Settings(bend=bend))])
+
+
+def test_stopped_mistake_says_both(mistaken):
+    text, alarm = label("stub", meter(settings=mistaken, refused="step refused: too fast"))
+    assert text.split("\n") == ["▲ stub stopped", "step refused: too fast", "wrong on purpose"]
+    assert alarm
+
+
+def test_unstable_step_is_a_line_of_the_label_and_bold_in_the_table():
+    shaky = meter(report=report({"gravity": "ran", "integrator": "unstable: dt is 10 ms"}))
+    assert label("one", shaky)[0].split("\n")[-1] == "▲ unstable step"
+    table = effects_table(["one"], [shaky])
+    assert '<tr class="bad"><td>integrator</td><td>unstable: dt is 10 ms</td></tr>' in table
+    assert table.count('class="bad"') == 1
+
+
+def test_effect_that_only_speaks_of_unstable_steps_is_none():
+    calm = meter(report=report({"integrator": "ran: unstable above 1 ms"}))
+    assert "unstable" not in label("one", calm)[0]
+    assert 'class="bad"' not in effects_table(["one"], [calm])
+
+
+def test_sizes_of_both_momenta_stand_under_the_energies():
+    momentum = np.array([3.0, 0.0, 4.0]), np.array([0.0, 2.5e-7, 0.0])
+    table = sums_table(["one", "two"], [meter(energy={"kinetic": 1.0}, momentum=momentum), meter()])
+    assert table.index("kinetic") < table.index("|P| [kg m/s]") < table.index("|L| [kg m²/s]")
+    assert "|P| [kg m/s]</td><td>5</td><td>–</td>" in table
+    assert "|L| [kg m²/s]</td><td>2.5·10⁻⁷</td><td>–</td>" in table
+
+
+def test_no_momentum_is_claimed_before_there_is_a_simulation():
+    assert sums_table(["one"], [meter()]) == ""
+
+
+def test_stopped_variant_leaves_a_gap_in_plots():
+    momentum = np.array([3.0, 0.0, 4.0]), np.array([0.0, 0.0, 2.0])
+    going = meter(energy={"kinetic": 1.0, "gravity": 2.0}, momentum=momentum)
+    assert going.energies() == (3.0, 1.0)
+    assert going.momenta() == (5.0, 2.0)
+    stopped = meter(energy={"kinetic": 1.0}, momentum=momentum, refused="too fast")
+    assert np.isnan([*stopped.energies(), *stopped.momenta(), *meter().energies(), *meter().momenta()]).all()
