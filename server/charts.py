@@ -1,4 +1,4 @@
-"""The right dock: the variants' numbers, milliseconds per step by phase, energies, momentum, effects."""
+"""The right dock: the variants' numbers, milliseconds per step, energies, momentum, effects, damping."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from server.digits import round_above
 from server.meter import Meter
 from server.palette import VARIANTS
 from server.plots import CostPlot, PairPlot
+from server.ringdown import EXPLANATION, Results, damping_table
 from server.tables import NOTHING, caption, effects_table, sums_table, update, variant_table
+
+MEASURE = "Measure the damping"
 
 NO_MOMENTUM = 1e-9
 """Momentum [kg m/s, kg m²/s] that may come from rounding alone."""
@@ -36,6 +39,10 @@ class Charts:
             self._sums = gui.add_html("")
         with panel.add_tab("Effects"):
             self._effects = gui.add_html("")
+        with panel.add_tab("Damping"):
+            gui.add_html(caption(EXPLANATION))
+            self.measure = gui.add_button_group("ring-down", (MEASURE,))
+            self._damping = gui.add_html("")
         panel.dock_right()
         panel.set_width(style.RIGHT_WIDTH)
         self._setting, self._names = "", [""]
@@ -43,6 +50,10 @@ class Charts:
     def name(self, setting: str, names: Sequence[str]) -> None:
         """Call the variants so, by their values of the setting that differs."""
         self._setting, self._names = setting, list(names)
+
+    def show_damping(self, results: Results) -> None:
+        """Write what was measured of each variant's damping; nothing where that is out of date."""
+        update(self._damping, damping_table(self._names, results))
 
     def clear(self) -> None:
         """Forget the past."""

@@ -119,7 +119,29 @@ class Scenes:
         return 0
 
 
-COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes}
+@dataclass(kw_only=True)
+class Study:
+    """Run a study: what a scene shows, measured; without a name, list them."""
+
+    study: Annotated[str, Positional, arg(metavar="STUDY")] = ""
+    """One of `muslin study`."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write the tables as JSON."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write what is printed as a page that needs no network."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.study import list_studies, run_study
+
+        if self.study:
+            return run_study(self.study, self.json, self.html)
+        if self.json is not None or self.html is not None:
+            raise ValueError("STUDY: expected the name of a study to write, got none")
+        return list_studies()
+
+
+COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes, "study": Study}
 
 DESCRIPTION = """Try cloth simulation methods side by side.
 
@@ -192,7 +214,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Check | Scenes,
+                Lab | Run | Check | Scenes | Study,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,

@@ -22,6 +22,7 @@ from server.compiler import Compiler, Prepare, compile_kernels
 from server.lane import Frame
 from server.page import READ_EVERY, Page
 from server.palette import MAX_VARIANTS
+from server.ringdown import RingDown, measure_damping
 from sim.mesh import build_mesh
 from sim.scene import Scene, SceneError, load_scene, scene_files
 from sim.settings import Settings
@@ -45,6 +46,7 @@ class Lab:
         port: Port to listen on; the next free one is taken where it is not free.
         build: Makes a simulation of a scene with some settings.
         prepare: Compiles what a scene needs.
+        measure: Measures the damping of a scene.
 
     Raises:
         SceneError: if the scene cannot be used; nothing has been started then.
@@ -57,6 +59,7 @@ class Lab:
         port: int = 8080,
         build: Callable[[Scene, Settings], Any] = build_world,
         prepare: Prepare = compile_kernels,
+        measure: Callable[[Scene], Any] = measure_damping,
     ):
         self._scene = load_scene(scene)
         self._mesh = build_mesh(self._scene)
@@ -68,6 +71,7 @@ class Lab:
         self._page = Page(self, host, port, list(self._scenes), self._scene.name)
         self._bench = Bench(lambda: self._page.watched, on_frame=lambda: self.post(lambda: None))
         self._compiler = Compiler(prepare, self.post, self._show_progress, self.say, self._launch)
+        self._ringdown = RingDown(measure, self.post, self._page.charts.show_damping)
         self._thread = threading.Thread(target=self._run, name="muslin lab", daemon=True)
 
     @property
@@ -94,6 +98,7 @@ class Lab:
         """End all threads and the server. A step that is being made is waited for, but not for long."""
         self._stopping.set()
         self._compiler.stop()
+        self._ringdown.stop()
         self.post(lambda: None)
         if self._thread.is_alive():
             self._thread.join(timeout=5)
@@ -170,11 +175,22 @@ class Lab:
         self._page.note(line)
         self._page.show_status(self._bench)
 
+    def measure_damping(self) -> None:
+        """Measure what damping ratio each variant really has, and show it as it comes in."""
+        if self._bench.ready:
+            self._ringdown.start(self._scene, self._comparison)
+
+    def _forget_damping(self) -> None:
+        """What was measured holds no longer."""
+        self._ringdown.stop()
+        self._page.charts.show_damping(())
+
     def set_shared(self, name: str, value: Any) -> None:
         """Change a setting of all variants."""
         if name == self._comparison.by:
             return
         self._comparison = self._comparison.with_shared(name, value)
+        self._forget_damping()
         self._page.panel.show_relevance(self._comparison)
         for i in range(len(self._bench.lanes)):
             self._bench.change(i, name, value, self._comparison.settings(i))
@@ -184,6 +200,7 @@ class Lab:
         if index >= len(self._comparison.values):
             return
         self._comparison = self._comparison.with_value(index, value)
+        self._forget_damping()
         self._page.panel.show_relevance(self._comparison)
         self._page.name_charts(self._comparison)
         if self._bench.ready:
@@ -217,6 +234,7 @@ class Lab:
     # Opening a scene: its still at once, then kernels in a thread, then one lane per variant.
 
     def _open(self) -> None:
+        self._ringdown.stop()
         self._bench.clear(self._comparison.count)
         self._page.set_up(self._scene, self._mesh, self._comparison)
         self._wait_for("preparing")

@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from server.bench import Bench
-from server.charts import Charts
+from server.charts import MEASURE, Charts
 from server.clock import FRAME
 from server.comparison import Comparison
 from server.guard import open_server
@@ -53,6 +53,7 @@ class Page:
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND[:3])
         self.panel = Panel(self.server, guard, lab, scenes, scene)
         self.charts = Charts(self.server)
+        self.panel.act(self.charts.measure, (MEASURE,), lambda _: lab.measure_damping())
         self.stage = Stage(self.server)
         self._shown: list[Frame] = []
         self._pinned = False
@@ -86,6 +87,7 @@ class Page:
         self.stage.set_up(scene, mesh, [comparison.name(i) for i in range(comparison.count)])
         self.name_charts(comparison)
         self.charts.clear()
+        self.charts.show_damping(())
         self.panel.show_scene(scene)
         self.panel.show_comparison(comparison)
 

@@ -43,7 +43,7 @@ class Panel:
         self._scene = self._choice("scene", scenes, scene, lab.open_scene, "What is simulated.")
         self._lesson = server.gui.add_html("")
         self._transport = server.gui.add_button_group("run", (PLAY, STEP, RESET))
-        self._act(self._transport, (PLAY, PAUSE, STEP, RESET), self._on_transport)
+        self.act(self._transport, (PLAY, PAUSE, STEP, RESET), self._on_transport)
         self._speed = self._choice(
             "speed",
             list(SPEEDS),
@@ -62,16 +62,16 @@ class Panel:
         )
         self._variants = server.gui.add_folder(None)
         self._count = server.gui.add_button_group("variants", (MORE,))
-        self._act(self._count, (MORE, FEWER), lambda option: lab.change_count(1 if option == MORE else -1))
+        self.act(self._count, (MORE, FEWER), lambda option: lab.change_count(1 if option == MORE else -1))
         self._add_tabs()
         self._add_commands()
 
     def _choice(self, label: str, options: Sequence[str], value: str, then, hint: str):
         handle = self._gui.add_dropdown(label, tuple(options), initial_value=value, hint=hint)
-        self._act(handle, options, then)
+        self.act(handle, options, then)
         return handle
 
-    def _act(self, handle: Any, options: Sequence[str], then) -> None:
+    def act(self, handle: Any, options: Sequence[str], then) -> None:
         """Have the lab do `then(option)` when a client picks one of `options`; others are refused."""
 
         def check(value: Any) -> str:

@@ -30,7 +30,7 @@ DEFLECTION = 1e-4
 DIGITS = 1e-6
 """Position error that a solve may leave, as part of the deflection."""
 
-PERIODS, FEWEST, MOST = 1.0, 12, 4000
+PERIODS, FEWEST, MOST = 0.6, 12, 4000
 """How long the motion is followed, and bounds on its steps."""
 
 APART = 0.3

@@ -1,0 +1,143 @@
+"""Studies without a page: run one, print its tables, and write them as JSON or as a page of their own."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+
+from rich.console import Console
+from rich.table import Table as Printed
+
+import sim
+from sim.studies import STUDIES, Cell, Result, Table
+
+WIDTH = 150
+"""Characters of a line where no terminal says how many it has."""
+
+HTML = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="UTF-8">
+<meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>{{stylesheet}} body {{{{ color: {{foreground}}; background: {{background}}; margin: 2em; }}}}</style>
+</head>
+<body><pre style="font-family: Menlo, 'DejaVu Sans Mono', Consolas, monospace">{{code}}</pre></body>
+</html>
+"""
+"""A page that needs nothing but itself, as rich fills it in."""
+
+
+def list_studies() -> int:
+    """Print what there is and return the exit code."""
+    table = Printed("study", "what it measures", "scene")
+    for name, study in STUDIES.items():
+        table.add_row(name, study.summary, study.scene)
+    Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
+    return 0
+
+
+def run_study(name: str, json: str | None = None, html: str | None = None) -> int:
+    """Run a study, print its tables and notes, and write them to the files that are given.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ValueError, OSError: before anything is computed, for a call that makes no sense; ValueError also for
+            a study whose simulation failed.
+    """
+    _check(name, json, html)
+    result = _run(name)
+    _print(result, Console(width=None if sys.stdout.isatty() else WIDTH, markup=False, highlight=False))
+    from sim.export import save_json, write_whole
+
+    if json is not None:
+        save_json(json, as_json(name, result))
+    if html is not None:
+        page = as_html(result).encode()
+        write_whole(html, lambda stream: stream.write(page))
+    return 0
+
+
+def _check(name: str, json: str | None, html: str | None) -> None:
+    if name not in STUDIES:
+        raise ValueError(f"{name}: no such study; expected one of {', '.join(STUDIES)}")
+    from sim.export import check_writable
+
+    for option, path in (("--json", json), ("--html", html)):
+        if path == "":
+            raise ValueError(f"{option}: expected a file, got an empty name")
+        if path is not None:
+            check_writable(path)
+    if json is not None and json == html:
+        raise ValueError(f"--html: expected another file than --json, got {html}")
+
+
+def _run(name: str) -> Result:
+    """The study's result; a terminal is told how far it is."""
+    with Console(stderr=True).status("getting kernels ready (the first run compiles them)") as status:
+        try:
+            return STUDIES[name].run(lambda done, what: status.update(f"{done:.0%}  {what}"))
+        except (sim.EquilibriumError, sim.StepError) as error:
+            raise ValueError(f"{name}: {error}") from None
+
+
+def as_json(name: str, result: Result) -> dict[str, object]:
+    """The result as plain data; cells keep all their digits, and what is not finite is null."""
+    tables = [
+        {
+            "caption": table.caption,
+            "columns": list(table.columns),
+            "rows": [[_finite(cell) for cell in row] for row in table.rows],
+        }
+        for table in result.tables
+    ]
+    return {
+        "study": name,
+        "title": result.title,
+        "tables": tables,
+        "notes": list(result.notes),
+        "version": sim.__version__,
+    }
+
+
+def as_html(result: Result) -> str:
+    """The result as a page of its own."""
+    console = Console(record=True, file=io.StringIO(), width=WIDTH, markup=False, highlight=False)
+    _print(result, console)
+    return console.export_html(code_format=HTML.format(title=result.title))
+
+
+def _print(result: Result, console: Console) -> None:
+    console.print(result.title, style="bold")
+    for table in result.tables:
+        console.print()
+        console.print(_printed(table))
+    for note in result.notes:
+        console.print()
+        console.print(note)
+
+
+def _printed(table: Table) -> Printed:
+    printed = Printed(title=table.caption, title_justify="left")
+    for place, heading in enumerate(table.columns):
+        words = any(isinstance(row[place], str) for row in table.rows)
+        printed.add_column(heading, justify="left" if words else "right")
+    for row in table.rows:
+        printed.add_row(*map(cell_text, row))
+    return printed
+
+
+def cell_text(cell: Cell) -> str:
+    """A cell as people read it."""
+    if cell is None:
+        return "–"
+    if isinstance(cell, float):
+        return f"{cell:.4g}"
+    return cell if isinstance(cell, str) else f"{cell:,}"
+
+
+def _finite(cell: Cell) -> Cell:
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
