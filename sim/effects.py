@@ -28,6 +28,8 @@ def effects(
         words = "ran" if size > 0.0 else f"off: {springs.kind.stiffness} is zero"
         if springs.kind.wrong:
             words = f"ran, wrong on purpose: {springs.kind.wrong}"
+        if springs.kind.switch and report.energy_jumps:
+            words += f"; {report.energy_jumps} taken up or left, which put in {report.energy_jump:.2g} J"
         if springs.left_out:
             words += f"; {springs.left_out} left out, too thin"
         found[f"{springs.name} springs"] = words

@@ -297,7 +297,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         number(
             "",
             "Solver",
-            "Largest number of Newton iterations per step; 1 is the linearised step.",
+            "Largest number of Newton iterations per solve; 1 is the linearised step, which damps along old "
+            "directions and so is first order; second-order integrators need 2 to be that.",
             ge=1,
             le=100,
             slider=(1, 10),
