@@ -12,7 +12,7 @@ from rich.table import Table as Printed
 import sim
 from sim.studies import STUDIES, Cell, Result, Table
 
-WIDTH = 150
+WIDTH = 120
 """Characters of a line where no terminal says how many it has."""
 
 HTML = """<!DOCTYPE html>
@@ -114,6 +114,7 @@ def _print(result: Result, console: Console) -> None:
     console.print(result.title, style="bold")
     for table in result.tables:
         console.print()
+        console.print(table.caption, style="italic")
         console.print(_printed(table))
     for note in result.notes:
         console.print()
@@ -121,7 +122,7 @@ def _print(result: Result, console: Console) -> None:
 
 
 def _printed(table: Table) -> Printed:
-    printed = Printed(title=table.caption, title_justify="left")
+    printed = Printed()
     for place, heading in enumerate(table.columns):
         words = any(isinstance(row[place], str) for row in table.rows)
         printed.add_column(heading, justify="left" if words else "right")

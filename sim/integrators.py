@@ -129,6 +129,15 @@ def _of_modes(factor: Callable[[Any], Any]) -> Callable[[Any, Any], tuple[Any, A
     return growth
 
 
+def _bdf2_growth(hw: Any, gamma: Any) -> tuple[Any, Any]:
+    """Of the four roots of (3 − 2 z) ρ² − 4 ρ + 1 the two that fade last: one for each z = h λ, or a pair."""
+    root = (gamma * gamma - 1.0 + 0j) ** 0.5
+    first, second = hw * (root - gamma), -hw * (root + gamma)
+    above, below = (1.0 + 2.0 * first) ** 0.5, (1.0 + 2.0 * second) ** 0.5
+    paired = (abs(above.real) < 1e-9) & (abs(below.real) < 1e-9)
+    return (2.0 + above) / (3.0 - 2.0 * first), (2.0 + (1 - 2 * paired) * below) / (3.0 - 2.0 * second)
+
+
 def _explicit_growth(hw: Any, gamma: Any) -> tuple[Any, Any]:
     """The roots of ρ² − (2 − 2 γ h ω − h² ω²) ρ + 1 − 2 γ h ω."""
     half = 1.0 - gamma * hw - 0.5 * hw * hw
@@ -150,7 +159,7 @@ INTEGRATORS: dict[str, Integrator] = {
         "second order, one solve; damps far less than backward Euler",
         2,
         bdf2,
-        _of_modes(lambda z: (2.0 + (1.0 + 2.0 * z) ** 0.5) / (3.0 - 2.0 * z)),
+        _bdf2_growth,
         looks_back=True,
     ),
     "midpoint": Integrator(

@@ -50,9 +50,9 @@ class Ramp:
 
     def toward(self, target: Settings) -> Ramp:
         """The way to another target, from where this one is."""
-        now = self.settings
-        same = all(getattr(now, name) == getattr(target, name) for name in RAMPED)
-        return Ramp.done(target) if same else Ramp(now, target)
+        if _alike(target, self.target):
+            return Ramp(self.start, target, self.elapsed)
+        return Ramp.done(target) if _alike(target, self.settings) else Ramp(self.settings, target)
 
     def after(self, h: float) -> Ramp:
         """The same way, h [s] later."""
@@ -63,3 +63,8 @@ class Ramp:
         if FIELDS[name].scale == "log" and first > 0.0 and last > 0.0:
             return first * (last / first) ** part
         return first + part * (last - first)
+
+
+def _alike(a: Settings, b: Settings) -> bool:
+    """Whether two settings differ in none that goes over."""
+    return all(getattr(a, name) == getattr(b, name) for name in RAMPED)

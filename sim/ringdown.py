@@ -36,6 +36,12 @@ PERIODS, FEWEST, MOST = 0.6, 12, 4000
 APART = 0.3
 """Phase ω t from one sample of the fit to the next, at least: closer ones differ by little but rounding."""
 
+MISFIT = 1e-3
+"""Part of the motion by which samples may miss a recurrence that they are said to follow."""
+
+OFF = 0.05
+"""Part by which the frequency of a ring-down may differ from that of the mode it is taken for."""
+
 RIGID = 1e-12
 """Modes this much slower than the fastest (ω²) are motions of a whole piece, seen through rounding."""
 
@@ -86,6 +92,7 @@ def modal_damping(
         overrides: Settings that differ from the scene's.
 
     Raises:
+        StepError: where the motion cannot be followed.
         SceneError, ValueError, EquilibriumError: As `equilibrium`; ValueError also where no such mode is.
     """
     scene, overrides = load_scene(scene), {**overrides, "contact": "none"}
@@ -102,6 +109,12 @@ def modal_damping(
     every = max(1, round(APART / (frequency * s.dt)))
     samples = _let_go(world, shape, frequency)[::every]
     measured, rate = fit_ring_down(samples, every * s.dt, roots)
+    expected = frequency * float(apparent(s.integrator, frequency * s.dt, modal)[1])
+    if not abs(rate - expected) <= OFF * expected:
+        raise ValueError(
+            f"mode {mode}: expected a ring-down at {expected:.4g} rad/s, got {rate:.4g}; the cloth is too "
+            "stiff, or its rest too delicate, to tell the mode from rounding"
+        )
     return ModalDamping(frequency, s.gamma, modal, stepped, measured, rate)
 
 
@@ -110,13 +123,19 @@ def cloth_mode(world: Simulation, mode: int = 0, longest: float = math.inf) -> t
 
     Arguments and errors are those of `modal_damping`.
     """
+    if isinstance(mode, bool) or not isinstance(mode, int):
+        raise ValueError(f"mode: expected a whole number, got {mode!r}")
+    if not longest > 0.0:
+        raise ValueError(f"longest: expected > 0 s, got {longest:g}")
+    if not world.model.free.any():
+        raise ValueError("cloth: expected vertices that can move, got none")
     stiffness, _ = system_matrices(world.model, world.positions, exact=True)
     kept = np.flatnonzero(np.repeat(world.model.free, 3))
     scale = np.repeat(np.sqrt(world.masses), 3)[kept]
     scaled = diags_array(1.0 / scale) @ stiffness[kept][:, kept] @ diags_array(1.0 / scale)
     fastest = float(abs(scaled).sum(axis=1).max())  # no ω² exceeds it
     slowest = max(RIGID * fastest, (2.0 * math.pi / longest) ** 2)
-    if len(kept) <= 3 * DENSE:
+    if len(kept) <= 3 * DENSE or not -len(kept) // 4 < mode < len(kept) // 4:
         squares, shapes = eigh(scaled.toarray())
     elif mode < 0:
         squares, shapes = eigsh(scaled, k=-mode, which="LA", v0=np.ones(len(kept)))
@@ -125,6 +144,8 @@ def cloth_mode(world: Simulation, mode: int = 0, longest: float = math.inf) -> t
     order = np.argsort(squares)
     squares, shapes = squares[order], shapes[:, order]
     real = np.flatnonzero(squares > slowest)
+    if not len(real):
+        raise ValueError(f"longest: there is no mode with a period up to {longest:g} s")
     if not -len(real) <= mode < len(real):
         raise ValueError(f"mode: expected {-len(real)} to {len(real) - 1}, got {mode}")
     chosen = real[mode]
@@ -145,15 +166,22 @@ def fit_ring_down(samples: np.ndarray, dt: float, roots: int = 2) -> tuple[float
         ValueError: for samples that do not decay like a damped oscillator.
     """
     y = np.asarray(samples, dtype=float)
+    other = ValueError("samples: expected the motion of a damped oscillator, got something else")
+    if len(y) < 2 * roots + 1 or not np.isfinite(y).all():
+        raise other
     past = np.lib.stride_tricks.sliding_window_view(y[:-1], roots)[:, ::-1]
-    recurrence, *_ = np.linalg.lstsq(past, y[roots:], rcond=None)
+    recurrence, _, rank, _ = np.linalg.lstsq(past, y[roots:], rcond=1e-12)
+    off = np.abs(past @ recurrence - y[roots:]).max()
+    if rank < roots or off > MISFIT * np.abs(y).max():
+        raise other
     found = np.roots([1.0, *-recurrence]).astype(complex)
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = np.log(found[np.argsort(-np.abs(found))][:2]) / dt
         frequency = np.sqrt(rates[0] * rates[1])
         ratio = -(rates[0] + rates[1]) / (2.0 * frequency)
-    if not (np.isfinite(ratio) and np.isfinite(frequency) and frequency.real > 0.0):
-        raise ValueError("samples: expected the motion of a damped oscillator, got something else")
+    grows = np.abs(found).max() > 1.0 + MISFIT
+    if grows or not (np.isfinite(ratio) and np.isfinite(frequency) and frequency.real > 0.0):
+        raise other
     return float(ratio.real), float(frequency.real)
 
 

@@ -182,8 +182,9 @@ class Simulation:
         for name, array in zip(("positions", "velocities"), new, strict=True):
             if array.shape != self._positions.shape or not np.isfinite(array).all():
                 raise ValueError(f"{name}: expected finite numbers of shape {self._positions.shape}")
+        self._go_over(Ramp.done(self.settings))
         self._positions, self._velocities = new[0], np.where(self.model.free[:, None], new[1], 0.0)
-        self._time = 0.0
+        self._time = self._injected = 0.0
         self._previous = self._limit = None
         self.contact.forget()
         self.model.forget(self._positions)

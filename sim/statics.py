@@ -1,30 +1,35 @@
 """Static rest: where a scene's cloth hangs when it has come to rest.
 
-Without contact this is a minimum of the potential energy, found by damped Newton: implicit steps from rest,
-longer and longer, so that the masses, which keep the first ones short, fade out and the last ones are plain
-Newton steps with the exact Hessian. With obstacles it is where the motion itself ends: the cloth is stepped,
-and stopped whenever its kinetic energy has passed a peak (kinetic damping, Cundall 1976).
+Without contact this is a minimum of the potential energy, found by damped Newton steps (Levenberg 1944): the
+masses over h² hold them back at first; h grows while they do well, and the last ones are plain Newton steps
+with the exact Hessian. With obstacles it is where the motion itself ends: the cloth is stepped, and stopped
+whenever its kinetic energy has passed a peak (kinetic damping, Cundall 1976).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from sim.contact.gap import NO_GAP_SPRINGS
 from sim.scene import Scene
-from sim.simulation import Simulation
+from sim.simulation import Simulation, Snapshot
 from sim.solve.direct import solve_directly
-from sim.solve.implicit import SolveError, backward_euler
 
 RESIDUAL = 1e-9
 """Force left on any free vertex, as part of the largest force that acts on one."""
 
-CONTACT_RESIDUAL = 1e-4
-"""The same as part of the heaviest vertex's weight where contact, which is not smooth, holds the cloth."""
+SLOW_RESIDUAL = 1e-6
+"""The same where springs that do not know their second derivative take too many steps for that."""
+
+STILL, WATCHED = 1e-4, 60
+"""Part of the cloth's size that a vertex may move in so many steps, where contact holds it."""
 
 EPSILON = 8.0 * float(np.finfo(float).eps)
 """What a coordinate loses of the positions that it is measured from."""
@@ -32,11 +37,17 @@ EPSILON = 8.0 * float(np.finfo(float).eps)
 NUDGE, SLOWEST_FALL = 1e-5, 30.0
 """Part of the cloth's size by which it is moved off a saddle, and the time [s] in which that leaves it."""
 
-MOST_STEPS, MOST_CONTACT_STEPS = 400, 6000
+MOST_STEPS, MOST_CONTACT_STEPS = 1500, 6000
 """Steps after which there is taken to be no equilibrium."""
 
-SHORTEST, LONGEST, GROWTH = 1e-4, 1e4, 4.0
-"""Bounds of the implicit steps [s], and how much longer the next one is where a step went well."""
+SHORTEST, FIRST, LONGEST, GROWTH = 1e-7, 1e-2, 1e4, 4.0
+"""Lengths h of the steps [s], and how much longer the next is than one that did well, or shorter."""
+
+ACCEPTED, POOR, GOOD = 0.01, 0.25, 0.6
+"""Part of the promised decrease from which a step is taken, below which the next is shorter, above longer."""
+
+HIDDEN = 1e-14
+"""Part of the energy below which a decrease is lost in adding it up."""
 
 
 class EquilibriumError(RuntimeError):
@@ -46,8 +57,9 @@ class EquilibriumError(RuntimeError):
 def equilibrium(scene: Scene | str | Path | dict[str, Any], **overrides: Any) -> Simulation:
     """A simulation of `scene` at static rest, velocities zero and time zero.
 
-    The forces that are left are below 1e-9 of the largest that acts on a vertex; with obstacles, below 1e-4
-    of a vertex's weight.
+    The forces that are left are below 1e-9 of the largest that acts on a vertex, or 1e-6 where springs do
+    not know their second derivative. On obstacles, which stay where they are at time zero, no vertex moves by
+    more than 1e-4 of the cloth's size within 60 steps.
 
     Args:
         scene: As for Simulation.
@@ -58,49 +70,77 @@ def equilibrium(scene: Scene | str | Path | dict[str, Any], **overrides: Any) ->
         EquilibriumError: where the cloth does not come to rest.
     """
     world = Simulation(scene, **overrides)
-    touches = bool(world.scene.obstacle) and world.settings.contact != "none"
-    if not touches and any(world.settings.gravity):
-        _check_held(world)
-    (_relax if touches else _minimise)(world)
+    if world.scene.obstacle and world.settings.contact != "none":
+        at_rest = _relax(world)
+    else:
+        if any(world.settings.gravity):
+            _check_held(world)
+        at_rest = _minimise(world)
+    world.restore(at_rest)
     return world
 
 
 def _check_held(world: Simulation) -> None:
-    held = np.zeros(len(world.scene.cloth), dtype=bool)
-    held[world.pieces[world.pinned]] = True
+    n, edges = len(world.positions), world.edges
+    joined = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    parts, part = connected_components(joined, directed=False)
+    held = np.zeros(parts, dtype=bool)
+    held[part[world.pinned]] = True
     if not held.all():
-        piece = int(np.argmin(held))
-        raise ValueError(f"cloth[{piece}]: expected a pinned vertex or an obstacle to rest on, got neither")
+        loose = int(np.argmin(held[part]))
+        raise ValueError(
+            f"cloth[{world.pieces[loose]}]: expected pins, or an obstacle, to hold all of it; "
+            f"nothing holds vertex {loose}"
+        )
 
 
-def _minimise(world: Simulation) -> None:
-    model, free = world.model, world.model.free
-    settings = msgspec.structs.replace(world.settings, newton=4, tolerance=1e-12, solver="direct")
-    x = world.positions.copy()
+def _at_rest(world: Simulation, x: np.ndarray) -> Snapshot:
+    """The state of `world` at `x` (n, 3), with what coordinates remember, but at rest and at time zero."""
     still = np.zeros_like(x)
-    h, before, left, nudges = world.settings.dt, np.inf, np.inf, np.random.default_rng(world.settings.seed)
+    return replace(world.snapshot(), positions=x, velocities=still, time=0.0, previous=None, injected=0.0)
+
+
+def _minimise(world: Simulation) -> Snapshot:
+    """Levenberg–Marquardt: Newton steps that masses over h² hold back, h longer after a good one."""
+    model, masses = world.model, world.masses[:, None]
+    x, still = world.positions.copy(), np.zeros_like(world.positions)
+    step, nudges = np.zeros_like(x), np.random.default_rng(world.settings.seed)
+    h, left = FIRST, np.inf
     for _ in range(MOST_STEPS):
         left = _residual(world, x)
         if left <= RESIDUAL:
             if _stable(world, x):
-                world.place(x)
-                return
+                return _at_rest(world, x)
             size = float(np.ptp(x, axis=0).max())
-            x += NUDGE * size * nudges.standard_normal(x.shape) * free[:, None]
-            h, before = world.settings.dt, np.inf
-            continue
-        h = min(GROWTH * h, LONGEST) if left < before else max(0.5 * h, SHORTEST)
-        before = left
-        try:
-            solution = backward_euler(model, NO_GAP_SPRINGS, settings, x, still, h, x, filtered=0)
-        except SolveError:
-            h = max(0.1 * h, SHORTEST)
-            continue
-        x = np.where(free[:, None], solution.positions, x)
-        model.remember(x)
+            x += NUDGE * size * nudges.standard_normal(x.shape) * model.free[:, None]
+            h = FIRST
+        definite = False
+        for exact in (True, False):
+            forces = model.linearise(x, still, NO_GAP_SPRINGS, h, exact).copy()
+            if not definite:
+                _, definite = solve_directly(model.matrix, model.free, world.masses, h * h * forces, step)
+        worth = _worth(world, x, step, 0.5 * float(np.sum(step * (forces + masses * step / h**2))), left)
+        if worth > ACCEPTED:
+            x = x + step
+            model.remember(x)
+        h = min(GROWTH * h, LONGEST) if worth > GOOD else max(h / GROWTH, SHORTEST) if worth < POOR else h
+    if left <= SLOW_RESIDUAL:
+        return _at_rest(world, x)
     raise EquilibriumError(
         f"no equilibrium within {MOST_STEPS} steps: forces of {left:.2g} times the largest are left"
     )
+
+
+def _worth(world: Simulation, x: np.ndarray, step: np.ndarray, promised: float, left: float) -> float:
+    """The part of its `promised` decrease of energy [J] that a step keeps; 1 where rounding hides it."""
+    if not np.isfinite(step).all():
+        return 0.0
+    if not world.model.conservative:  # there is no energy to go by, only the part of forces that is left
+        return float(_residual(world, x + step) < left)
+    before, after = (sum(world.model.energies(y).values()) for y in (x, x + step))
+    if abs(promised) <= HIDDEN * (abs(before) + abs(after)):
+        return 1.0
+    return (before - after) / promised
 
 
 def _stable(world: Simulation, x: np.ndarray) -> bool:
@@ -123,22 +163,25 @@ def _residual(world: Simulation, x: np.ndarray) -> float:
     return left / largest if largest > 0.0 else 0.0
 
 
-def _relax(world: Simulation) -> None:
-    weight = float(world.masses.max() * np.linalg.norm(world.settings.gravity))
-    kinetic, stopped, left = 0.0, False, np.inf
-    for _ in range(MOST_CONTACT_STEPS):
-        world.step()
-        energy = world.energy()["kinetic"]
-        if stopped:  # this step began at rest: what it gained are the forces that are left
-            pushes = world.masses * np.linalg.norm(world.velocities, axis=1) / world.settings.dt
-            left = float(pushes.max()) / (weight or 1.0)
-            if left <= CONTACT_RESIDUAL:
-                world.place(world.positions)
-                return
-        stopped = energy < kinetic
-        kinetic = 0.0 if stopped else energy
-        if stopped:
-            world.stop()
+def _relax(world: Simulation) -> Snapshot:
+    """Obstacles stay where they are at time zero."""
+    first = [msgspec.structs.replace(o, path=o.path[:1]) for o in world.scene.obstacle]
+    moving = Simulation(msgspec.structs.replace(world.scene, obstacle=first, settings=world.settings))
+    size = float(np.ptp(moving.positions, axis=0).max()) or 1.0
+    kinetic, moved, before = 0.0, np.inf, moving.positions.copy()
+    for k in range(MOST_CONTACT_STEPS):
+        moving.step()
+        energy = moving.energy()["kinetic"]
+        if energy < kinetic:
+            moving.stop()
+            energy = 0.0
+        kinetic = energy
+        if k % WATCHED == WATCHED - 1:
+            moved = float(np.linalg.norm(moving.positions - before, axis=1).max()) / size
+            if moved <= STILL:
+                return _at_rest(moving, moving.positions.copy())
+            before = moving.positions.copy()
     raise EquilibriumError(
-        f"no equilibrium within {MOST_CONTACT_STEPS} steps: {left:.2g} of the largest weight is left"
+        f"no equilibrium within {MOST_CONTACT_STEPS} steps: it still moves by {moved:.2g} of its size in "
+        f"{WATCHED} steps"
     )

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worlds import grid, irregular, scene
 
 import sim
 from sim.docs import settings_page
 from sim.settings import FIELDS, parse
 from sim.springs import BENDING, SpringKind
+from tests.worlds import grid, irregular, scene
 
 LINE = SpringKind("half_sine", "bounded sine of half the angle", "hinges", (0, 1, 2, 3), "bending", memory=1)
 

@@ -279,3 +279,15 @@ def test_newton_never_raises_the_incremental_potential_of_a_huge_step():
         change = 0.5 * world.masses @ ((world.velocities - v) ** 2).sum(axis=1)
         after = sum(world.energy().values()) - world.energy()["kinetic"]
         assert after + change <= (energy + kinetic) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("integrator", ["backward_euler", "sdirk2", "bdf2"])
+def test_a_line_search_takes_no_momentum_from_falling_cloth(integrator):
+    """A fold of 2 rad put into flat cloth at once makes Newton shorten its steps; the fall goes on."""
+    cloth = grid(resolution=(4, 4))
+    settings = {"bend": "modified", "newton": 2, "bending": 1.0, "rest_angle": 2.0, "integrator": integrator}
+    world = sim.Simulation(scene(cloth, gravity=[0, 0, -9.81], **settings))
+    for step in range(1, 17):
+        world.step()
+        fall = world.momentum()[0] / world.masses.sum()
+        np.testing.assert_allclose(fall, [0, 0, -9.81 * step * world.settings.dt], atol=1e-11)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sim
 from sim.elements import LENGTH, elastic_energy, make_elements, set_damping, set_matrix_factors, set_tension
 from sim.springs import BENDING, STRETCH
 from sim.springs.build import fold, measure_each
@@ -315,3 +316,15 @@ def test_ad_hoc_rules_have_the_ghost_forces_of_the_notes(rule):
     }[rule]
     np.testing.assert_allclose(forces.sum(axis=0), expected[0], atol=6e-5)  # four digits are given
     np.testing.assert_allclose(torque, expected[1], atol=6e-5)
+
+
+def test_a_rest_hinge_whose_coordinate_feels_no_fold_is_left_out_and_said_so():
+    """The line x3x4 all but parallel to the edge: matched to the angle, its stiffness would have no bound."""
+    thin = {
+        "vertices": [[0, 0, 0], [1, 0, 0], [3, 0.002, 0], [-2, -0.002, 0]],
+        "triangles": [[0, 1, 2], [1, 0, 3]],
+    }
+    world = sim.Simulation({"cloth": thin}, bend="modified", gravity=(0, 0, 0))
+    assert world.energy()["modified"] == 0.0
+    assert np.isfinite(world.forces()).all()
+    assert "1 left out" in world.step().effects["modified springs"]

@@ -80,7 +80,7 @@ class Pipeline:
             if not len(late) or solves == MOST_SOLVES:
                 break
             end[late] = solution.positions[late]
-        report.contacts = len(contacts.vertex)
+        report.contacts = max(len(contacts.vertex), len(springs.vertex))  # felt, or found where it led to
         with report.phase("respond"):
             touch = self._respond(response, settings, springs, contacts, solution)
         return solution, touch

@@ -112,7 +112,9 @@ def backward_euler(
         small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
         if settings.newton > 1 and not small and model.conservative:
             descent = model.masses[:, None] * change + h * forces
-            step = _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent)
+            drift = _drift(model, loose, model.masses[:, None] * step)
+            way = step - drift, descent
+            step = drift + _line_search(model, contacts, x_hat, v_hat, velocities + drift, h, *way)
         velocities = velocities + step
         contacts.release(x_hat + h * velocities, settings.tolerance)
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
@@ -149,17 +151,24 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     iterations, error, status = conjugate_gradients(
         model.matrix, model.preconditioner, rest, step, shortcut, allowed, MOST_ITERATIONS
     )
-    pieces = model.mesh.pieces
-    drift = (
-        np.stack([np.bincount(pieces, rest[:, c]) for c in range(3)], axis=1) / model.piece_masses[:, None]
-    )
-    step += (drift * loose[:, None])[pieces]
+    step += _drift(model, loose, rest)
     broken = status == BROKEN or not np.isfinite(step).all()
     return _Linear(step, iterations, error * to_metres, status == CONVERGED, broken)
 
 
+def _drift(model: Model, loose: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+    """(n, 3) the velocity of `loose` pieces as a whole, given each vertex's `momentum`; zero elsewhere."""
+    pieces = model.mesh.pieces
+    whole = np.stack([np.bincount(pieces, momentum[:, c]) for c in range(3)], axis=1)
+    return (whole / model.piece_masses[:, None] * loose[:, None])[pieces]
+
+
 def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) -> np.ndarray:
-    """The longest of step, step/2, step/4 … that decreases Φ enough; `descent` is −∂Φ/∂v at `velocities`."""
+    """The longest of step, step/2, step/4 … that decreases Φ enough.
+
+    `descent` is −∂Φ/∂v along every step without drift. Loose pieces have drifted in full before: Φ is exactly
+    quadratic in that, and a shortened step would take their momentum away.
+    """
     quadratic = sum(
         (
             damping_along(e, velocities, step)

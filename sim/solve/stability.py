@@ -48,10 +48,10 @@ def _largest(model: Model, matrix: csr_array) -> float:
     """The largest eigenvalue of M⁻¹ `matrix` on free vertices."""
     scale = np.repeat(np.sqrt(model.inverse_masses), 3)
     n = len(scale)
-    if n <= 3 * DENSE:
-        return float(np.linalg.eigvalsh(scale[:, None] * matrix.toarray() * scale).max(initial=0.0))
     diagonal = diags_array(scale)
     product = diagonal @ matrix @ diagonal
+    if n <= 3 * DENSE:
+        return float(np.linalg.eigvalsh(product.toarray()).max(initial=0.0))
     start = np.random.default_rng(0).standard_normal(n)
     try:
         values = eigsh(product, k=1, which="LA", tol=DIGITS, v0=start, return_eigenvectors=False)  # pyright: ignore

@@ -21,6 +21,9 @@ from sim.springs import BENDING, STRETCH, SpringKind
 FLATTEST = 1e-3
 """A hinge with a rest triangle lower than this part of its edge has no usable angle and is left out."""
 
+LEAST_FELT = 1e-2
+"""A hinge whose coordinate feels a fold by less than this part of what it feels of its tips is left out."""
+
 
 @dataclass
 class Springs:
@@ -179,17 +182,22 @@ def _usable(kind: SpringKind, stencil: np.ndarray) -> np.ndarray:
         area = np.linalg.norm(np.cross(edge, stencil[:, 0] - stencil[:, 1]), axis=1)
         return ((area > FLATTEST * length**2) & (length > 0.0)).reshape(-1, 3).all(axis=1).repeat(3)
     length, _, height3, _, height4 = hinge_shape(stencil)
-    usable = (np.minimum(height3, height4) > FLATTEST * length) & (length > 0.0)
-    _, gradient = measure_each(kind, fold(stencil, 0.0)[0])
-    return usable & (np.linalg.norm(gradient, axis=2).max(axis=1, initial=0.0) <= kind.lever)
+    least = np.minimum(height3, height4)
+    rate, lever = _fold_rate(kind, stencil, kind.match_fold)
+    feels = np.abs(rate) > LEAST_FELT * lever * least
+    return feels & (least > FLATTEST * length) & (length > 0.0) & (lever <= kind.lever)
+
+
+def _fold_rate(kind: SpringKind, hinges: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    """(e,) dq/dθ of hinges folded to `theta` [rad], and the largest |∂q/∂x| of a vertex."""
+    folded, motion = fold(hinges, theta)
+    _, gradient = measure_each(kind, folded)
+    rate = np.einsum("eki,eki->e", gradient, motion[:, list(kind.vertices)])
+    lever = np.linalg.norm(gradient, axis=2).max(axis=1, initial=0.0)
+    return np.ones_like(rate) if kind.wrong else rate, lever  # kinds that are wrong on purpose measure θ
 
 
 def _bending_unit(kind: SpringKind, hinges: np.ndarray) -> np.ndarray:
     """(e,) K per c: c w / (dq/dθ)², w = |e|/(h1 + h2)."""
     length, _, height3, _, height4 = hinge_shape(hinges)
-    rate = 1.0  # of an angle, which is what kinds measure that are wrong on purpose
-    if not kind.wrong:
-        folded, motion = fold(hinges, kind.match_fold)
-        _, gradient = measure_each(kind, folded)
-        rate = np.einsum("eki,eki->e", gradient, motion[:, list(kind.vertices)])
-    return length / (height3 + height4) / rate**2
+    return length / (height3 + height4) / _fold_rate(kind, hinges, kind.match_fold)[0] ** 2

@@ -1,4 +1,4 @@
-"""The damping tab: measured in a thread, one variant after the other, and forgotten when it is out of date."""
+"""The damping tab: measured in a thread, one variant after the other, forgotten when out of date."""
 
 import threading
 
@@ -50,7 +50,16 @@ def test_only_the_newest_request_is_answered():
 
 def test_table_shows_what_is_set_made_of_it_added_and_measured():
     html = damping_table(["a", "b", "<c>"], [FOUND, None, "nothing <holds> it"])
-    for text in ("1.57", "0.2", "3·10⁻⁵", "0.034", "0.0339", "measuring", "nothing &lt;holds&gt; it", "&lt;c&gt;"):
+    for text in (
+        "1.57",
+        "0.2",
+        "3·10⁻⁵",
+        "0.034",
+        "0.0339",
+        "measuring",
+        "nothing &lt;holds&gt; it",
+        "&lt;c&gt;",
+    ):
         assert text in html
 
 
