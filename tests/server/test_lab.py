@@ -301,7 +301,7 @@ sys.path.insert(0, {tests!r})
 import server.launch
 from fake_world import SCENE, FakeWorld, nothing_to_compile
 server.launch.webbrowser.open = lambda url: sys.stdout.write(f"opened {{url}}\\n")
-server.launch.Lab.__init__.__defaults__ = ("drape", "127.0.0.1", 8080, FakeWorld, nothing_to_compile)
+server.launch.Lab.__init__.__defaults__ = ("drape", "127.0.0.1", 8080, FakeWorld, nothing_to_compile, None)
 server.launch.run_lab(SCENE, port=0, open_browser={open_browser})
 sys.stdout.write("ended cleanly\\n")
 """
