@@ -21,6 +21,7 @@ from sim.contact.gap import NO_GAP_SPRINGS
 from sim.scene import Scene
 from sim.simulation import Simulation, Snapshot
 from sim.solve.direct import solve_directly
+from sim.threads import processor_threads
 
 RESIDUAL = 1e-9
 """Force left on any free vertex, as part of the largest force that acts on one."""
@@ -75,7 +76,8 @@ def equilibrium(scene: Scene | str | Path | dict[str, Any], **overrides: Any) ->
     else:
         if any(world.settings.gravity):
             _check_held(world)
-        at_rest = _minimise(world)
+        with processor_threads(world.settings.threads):
+            at_rest = _minimise(world)
     world.restore(at_rest)
     return world
 

@@ -40,6 +40,9 @@ ROWS, WIDTH = 12, 0.46
 DENSITY, GRAVITY, STRETCH = 0.1, 9.81, 3e4
 """[kg/m²], [m/s²], and k [N] so large that the weight does not stretch the strip visibly."""
 
+FAR_FLOOR = {"kind": "plane", "point": (0.0, 0.0, -10.0)}
+"""An obstacle that the strip never reaches."""
+
 LARGEST_FOLD = math.pi / 2.0
 """Of θ at the elastica's free end [rad]: straight down."""
 
@@ -161,9 +164,11 @@ class Strip:
 
     def hang(self, kind: str, gamma: float, start: np.ndarray | None = None) -> np.ndarray:
         """(n, 3) positions [m] at rest under the weight that Γ says; EquilibriumError where there is none."""
-        bending = 2.0 * DENSITY * GRAVITY / gamma
-        world = sim.equilibrium(self.scene(start, bend=kind, bending=bending))
-        return world.positions.copy()
+        scene = self.scene(start, bend=kind, bending=2.0 * DENSITY * GRAVITY / gamma)
+        if BENDING[kind].match_fold:  # limp: with an obstacle about, rest is sought by falling, not by Newton
+            scene = {**scene, "obstacle": [FAR_FLOOR]}
+            scene["settings"] = {**scene["settings"], "gamma": 1.0, "newton": 4}
+        return sim.equilibrium(scene).positions.copy()
 
     def drop_and_reach(self, positions: np.ndarray) -> tuple[float, float]:
         """Of the strip's end from where its free length begins [m]."""
