@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRe
 from rich.table import Table
 
 import sim
-from sim.export import Recording, check_size, check_writable, save_json
+from sim.export import Recording, check_outputs, check_size, save_json
 from sim.scene import Scene
 from sim.settings import convert
 
@@ -55,13 +55,7 @@ def run(
         ValueError, OSError: before anything is simulated, for a call that makes no sense.
     """
     _check(scene, overrides, seconds, fps)
-    for option, path in (("--out", out), ("--json", json)):
-        if path == "":
-            raise ValueError(f"{option}: expected a file, got an empty name")
-        if path is not None:
-            check_writable(path)
-    if out is not None and out == json:
-        raise ValueError(f"--json: expected another file than --out, got {json}")
+    check_outputs(out=out, json=json)
     outcome, recording = _simulate(scene, overrides, seconds, fps, record=out is not None)
     if recording is not None and out is not None:
         recording.save(out)

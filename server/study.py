@@ -64,15 +64,9 @@ def run_study(name: str, json: str | None = None, html: str | None = None) -> in
 def _check(name: str, json: str | None, html: str | None) -> None:
     if name not in STUDIES:
         raise ValueError(f"{name}: no such study; expected one of {', '.join(STUDIES)}")
-    from sim.export import check_writable
+    from sim.export import check_outputs
 
-    for option, path in (("--json", json), ("--html", html)):
-        if path == "":
-            raise ValueError(f"{option}: expected a file, got an empty name")
-        if path is not None:
-            check_writable(path)
-    if json is not None and json == html:
-        raise ValueError(f"--html: expected another file than --json, got {html}")
+    check_outputs(json=json, html=html)
 
 
 def _run(name: str) -> Result:

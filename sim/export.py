@@ -107,6 +107,23 @@ def check_writable(path: str | Path) -> None:
     os.unlink(beside)
 
 
+def check_outputs(**files: str | Path | None) -> None:
+    """Refuse what a command cannot write: options by name, with the file that each one asks for, or None.
+
+    Raises:
+        ValueError: for an empty name, and for a file that two options ask for.
+        OSError: as `check_writable`.
+    """
+    asked: dict[str, str] = {}
+    for option, path in files.items():
+        if path == "":
+            raise ValueError(f"--{option}: expected a file, got an empty name")
+        if path is not None:
+            check_writable(path)
+            if (other := asked.setdefault(str(path), option)) != option:
+                raise ValueError(f"--{option}: expected another file than --{other}, got {path}")
+
+
 def check_size(vertices: int, frames: int) -> None:
     """Raise ValueError for a recording that would not fit."""
     size = 24 * vertices * frames

@@ -23,7 +23,6 @@ from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError
-from sim.solve.stability import longest_step
 from sim.solve.stepping import take_step
 from sim.threads import processor_threads
 
@@ -145,6 +144,8 @@ class Simulation:
 
     def stability_limit(self) -> float:
         """The longest step [s] for which symplectic Euler is stable about the present state."""
+        from sim.solve.stability import longest_step  # SciPy, which a step does without
+
         return longest_step(self.model, self._positions)
 
     def update(self, **changes: Any) -> None:

@@ -116,11 +116,10 @@ def _minimise(world: Simulation) -> Snapshot:
             size = float(np.ptp(x, axis=0).max())
             x += NUDGE * size * nudges.standard_normal(x.shape) * model.free[:, None]
             h = FIRST
-        definite = False
-        for exact in (True, False):
+        for exact in (True, False):  # filtered only where the exact Hessian is no minimum's
             forces = model.linearise(x, still, NO_GAP_SPRINGS, h, exact).copy()
-            if not definite:
-                _, definite = solve_directly(model.matrix, model.free, world.masses, h * h * forces, step)
+            if solve_directly(model.matrix, model.free, world.masses, h * h * forces, step)[1]:
+                break
         worth = _worth(world, x, step, 0.5 * float(np.sum(step * (forces + masses * step / h**2))), left)
         if worth > ACCEPTED:
             x = x + step

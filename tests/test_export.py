@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sim
-from sim.export import Recording, check_size, check_writable, save_json, write_whole
+from sim.export import Recording, check_outputs, check_size, check_writable, save_json, write_whole
 
 SCENE = {"cloth": {"kind": "grid", "resolution": [4, 4], "pins": ["left"]}}
 
@@ -86,3 +86,13 @@ def test_a_recording_that_would_not_fit_is_refused():
     check_size(10_000, 1000)
     with pytest.raises(ValueError, match="1,000,000 frames would take 240 GB, more than 2 GB"):
         check_size(10_000, 1_000_000)
+
+
+def test_files_that_options_ask_for_are_checked_together(tmp_path):
+    check_outputs(out=None, json=None)
+    check_outputs(out=str(tmp_path / "a.npz"), json=str(tmp_path / "a.json"))
+    with pytest.raises(ValueError, match="--html: expected a file, got an empty name"):
+        check_outputs(json=None, html="")
+    both = str(tmp_path / "same")
+    with pytest.raises(ValueError, match="--json: expected another file than --out"):
+        check_outputs(out=both, json=both)

@@ -1,6 +1,8 @@
 """What a simulation promises: transactions, live settings, snapshots, and the same bits on any threads."""
 
 import hashlib
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -231,3 +233,12 @@ def test_the_report_says_what_ran_and_why_not():
     assert report.effects["contact"].startswith("off")
     assert report.effects["edge springs"] == "ran"
     assert report.ms["total"] == pytest.approx(sum(v for k, v in report.ms.items() if k != "total"))
+
+
+def test_stepping_with_the_usual_solver_does_not_wait_for_scipys_sparse_matrices():
+    """Only the direct solver and the stability limit need them, and their import takes half a second."""
+    code = (
+        "import sys, sim; sim.Simulation({'cloth': {'kind': 'grid', 'resolution': [3, 3]}}).step(); "
+        "sys.exit('scipy.sparse' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -96,7 +96,7 @@ class Pipeline:
         response = RESPONSES.get(settings.contact) if self.any else None
         if response is None or INTEGRATORS[settings.integrator].implicit:
             return response
-        return replace(response, stiffness=1.0, damping=min(response.damping, 0.5))
+        return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), solved=False)
 
     def _detect(
         self,
@@ -118,7 +118,7 @@ class Pipeline:
         pairs = (contacts.vertex, contacts.obstacle)
         state = end, v, self.pressed[pairs], self.slip[pairs]
         springs = gap_springs(response, contacts, self._model.masses, *state, s)
-        if not INTEGRATORS[s.integrator].implicit:
+        if response is not None and not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
         return springs
 
@@ -131,7 +131,7 @@ class Pipeline:
         end: np.ndarray,
     ) -> np.ndarray:
         """Vertices that an impulse would have to push, as the solve did not feel a contact that it led to."""
-        if response is None or not response.impulses or not INTEGRATORS[s.integrator].implicit:
+        if response is None or not (response.impulses and response.solved):
             return np.zeros(0, dtype=np.int64)
         felt = np.zeros(self.pressed.shape, dtype=bool)
         felt[springs.vertex, springs.obstacle] = True
@@ -153,7 +153,7 @@ class Pipeline:
             return pressed, slip
         x, v = solution.positions, solution.velocities
         solved = springs.vertex, springs.obstacle
-        if INTEGRATORS[s.integrator].implicit:
+        if response.solved:
             pressed[solved] = springs.pushes(x, v, h)
         else:  # it pushed as it did at the start
             pressed[solved] = h * np.maximum(-springs.elements.tension, 0.0)

@@ -29,12 +29,14 @@ class Response:
         damping: Damping ratio of a gap spring while the gap closes.
         recovery: Part of an overlap that one step aims to take back.
         impulses: Whether impulses end the step.
+        solved: Whether a solve feels its gap springs; else they push as they did at the start of the step.
     """
 
     stiffness: float
     damping: float
     recovery: float
     impulses: bool
+    solved: bool = True
 
 
 RESPONSES = {"penalty": Response(10.0, 1.0, 1.0, False), "impulse": Response(100.0, 0.0, 0.1, True)}

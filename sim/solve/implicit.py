@@ -17,7 +17,6 @@ from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
 from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients
-from sim.solve.direct import solve_directly
 from sim.solve.multiscale import refresh
 
 MOST_ITERATIONS = 5000
@@ -142,6 +141,8 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     to_metres = h / math.sqrt(model.free_mass or 1.0)
     rest = model.masses[:, None] * change + h * forces
     if settings.solver == "direct":
+        from sim.solve.direct import solve_directly  # SciPy, which the usual solver does without
+
         step = np.empty_like(rest)
         error, definite = solve_directly(model.matrix, model.free, model.masses, rest, step)
         broken = not (definite and np.isfinite(step).all())
