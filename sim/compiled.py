@@ -16,6 +16,7 @@ from sim.cache import choose_cache
 choose_cache()  # before Numba reads where its cache is
 
 import numba  # noqa: E402
+import numpy as np  # noqa: E402
 from numba.core.dispatcher import Dispatcher  # noqa: E402
 
 inner = numba.njit(cache=True, error_model="numpy")
@@ -30,13 +31,38 @@ def kernel(function: Callable) -> Dispatcher:
 
 
 def parallel_kernel(function: Callable) -> Dispatcher:
-    """Compile `function` with its `prange` loops shared between threads."""
+    """Compile `function` with its `prange` loop shared between threads.
+
+    The loop runs over CHUNKS shares, and leaves each `share` to an `inner` function with a loop of its own.
+    Inside a `prange`, Numba 0.68 loses what `tuple.array[i] = value` writes, and a call for every single
+    item would hand over all arrays of the tuple every time.
+    """
     return _listed(numba.njit(nogil=True, cache=True, error_model="numpy", parallel=True)(function))
 
 
 def _listed(dispatcher: Dispatcher) -> Dispatcher:
     KERNELS.append(dispatcher)
     return dispatcher
+
+
+def indices(array: np.ndarray) -> np.ndarray:
+    """`array` as indices for kernels: unsigned, so that no kernel looks whether one counts from the end."""
+    return np.ascontiguousarray(array, dtype=np.uint32)
+
+
+def offsets(array: np.ndarray) -> np.ndarray:
+    """`array` as the places where runs of something start, for kernels; a range of unsigned is unsigned."""
+    return np.ascontiguousarray(array, dtype=np.uint64)
+
+
+CHUNKS = 32
+"""Parts that every loop and sum is split into; more threads than this find no work."""
+
+
+@inner
+def share(chunk, n):
+    """Begin and end of a chunk's part of n items."""
+    return chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS
 
 
 class Vec3(NamedTuple):

@@ -16,9 +16,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from sim.compiled import corner, dot, inner, kernel, row
+from sim.compiled import CHUNKS, corner, dot, inner, kernel, norm, parallel_kernel, row, scale, share
 
 NONE, LENGTH, NORMAL = range(3)
 """What S is: nothing, I, or mmᵀ with the unit vector m that the element's memory begins with."""
@@ -40,6 +41,8 @@ class Elements(NamedTuple):
         tension: (e,) s.
         along: (e,) factor of g gᵀ in the matrix.
         across: (e,) factor of (g·g) S in the matrix.
+        weight: (e, k) w, where the kind has such: g_a = w_a n with one unit vector n.
+        tensor: (e, 6) then along nnᵀ + across S: xx, xy, xz, yy, yz, zz.
     """
 
     nodes: np.ndarray
@@ -54,6 +57,8 @@ class Elements(NamedTuple):
     tension: np.ndarray
     along: np.ndarray
     across: np.ndarray
+    weight: np.ndarray
+    tensor: np.ndarray
 
 
 def make_elements(nodes: np.ndarray, memory: int) -> Elements:
@@ -65,31 +70,41 @@ def make_elements(nodes: np.ndarray, memory: int) -> Elements:
     arrays["gradient"] = np.zeros((e, k, 3))
     arrays["memory"] = np.zeros((e, memory))
     arrays["new_memory"] = np.zeros((e, memory))
+    arrays["weight"] = np.zeros((e, k))
+    arrays["tensor"] = np.zeros((e, 6))
     return Elements(**arrays)
 
 
-@kernel
+@parallel_kernel
 def set_damping(elements, inverse_masses, ratios):
     """Fill b = γ · 2 √(μ K) from the present gradient; an element without mass or gradient gets none.
 
     `ratios` is γ for all, shape (1, 2), or γ as a function of the element's frequency √(K/μ) [rad/s]: rows of
     frequency, ascending, and γ, between which it is linear in the logarithm.
     """
-    for e in range(len(elements.q)):
+    for chunk in numba.prange(CHUNKS):
+        _damp(elements, share(chunk, len(elements.q)), inverse_masses, ratios)
+
+
+@inner
+def _damp(elements, part, inverse_masses, ratios):
+    for e in range(part[0], part[1]):
         inverse = 0.0
         for a in range(elements.nodes.shape[1]):
             g = corner(elements.gradient, e, a)
             inverse += dot(g, g) * inverse_masses[elements.nodes[e, a]]
+        elements.damping[e] = 0.0
         if inverse > 0.0 and elements.stiffness[e] > 0.0:
-            gamma = _ratio_at(ratios, math.sqrt(elements.stiffness[e] * inverse))
+            gamma = _ratio_at(ratios, elements.stiffness[e] * inverse)
             elements.damping[e] = 2.0 * gamma * math.sqrt(elements.stiffness[e] / inverse)
-        else:
-            elements.damping[e] = 0.0
 
 
 @inner
-def _ratio_at(ratios, frequency):
+def _ratio_at(ratios, square):
     last = len(ratios) - 1
+    if last == 0:
+        return ratios[0, 1]
+    frequency = math.sqrt(square)
     if frequency <= ratios[0, 0]:
         return ratios[0, 1]
     if frequency >= ratios[last, 0]:
@@ -99,10 +114,16 @@ def _ratio_at(ratios, frequency):
     return ratios[k - 1, 1] + part * (ratios[k, 1] - ratios[k - 1, 1])
 
 
-@kernel
+@parallel_kernel
 def set_tension(elements, velocities):
     """Fill s = K (q − q0) + b (Σ g_a·v_a − drift)."""
-    for e in range(len(elements.q)):
+    for chunk in numba.prange(CHUNKS):
+        _tense(elements, share(chunk, len(elements.q)), velocities)
+
+
+@inner
+def _tense(elements, part, velocities):
+    for e in range(part[0], part[1]):
         rate = -elements.drift[e]
         for a in range(elements.nodes.shape[1]):
             rate += dot(corner(elements.gradient, e, a), row(velocities, elements.nodes[e, a]))
@@ -110,16 +131,44 @@ def set_tension(elements, velocities):
         elements.tension[e] = elements.stiffness[e] * stretch + elements.damping[e] * rate
 
 
-@kernel
+@parallel_kernel
 def set_matrix_factors(elements, h, bends):
-    """Fill along and across for an implicit step of h [s]; `bends` is one of NONE, LENGTH and NORMAL."""
-    for e in range(len(elements.q)):
-        across = 0.0
+    """Fill along and across for an implicit step of h [s]; `bends` is one of NONE, LENGTH and NORMAL.
+
+    A kind that bends has all its gradients along one line: its weights and tensors are filled, too.
+    """
+    for chunk in numba.prange(CHUNKS):
+        _set_factors(elements, share(chunk, len(elements.q)), h, bends)
+
+
+@inner
+def _set_factors(elements, part, h, bends):
+    for e in range(part[0], part[1]):
+        stiffness, transverse = elements.stiffness[e], 0.0
         if bends != NONE and elements.q[e] > elements.rest[e]:
-            across = elements.stiffness[e] * (1.0 - elements.rest[e] / elements.q[e])
-        along = elements.stiffness[e] - across if bends == LENGTH else elements.stiffness[e]
-        elements.across[e] = h * h * across
-        elements.along[e] = h * elements.damping[e] + h * h * along
+            transverse = stiffness * (1.0 - elements.rest[e] / elements.q[e])
+        if bends == LENGTH:
+            stiffness -= transverse
+        elements.across[e] = h * h * transverse
+        elements.along[e] = h * elements.damping[e] + h * h * stiffness
+        if bends == NONE:
+            continue
+        along, across = elements.along[e], elements.across[e]
+        n = corner(elements.gradient, e, 0)
+        length = norm(n)
+        n = scale(1.0 / length if length > 0.0 else 0.0, n)
+        for a in range(elements.nodes.shape[1]):
+            elements.weight[e, a] = dot(n, corner(elements.gradient, e, a))
+        xx, xy, xz = along * n.x * n.x, along * n.x * n.y, along * n.x * n.z
+        yy, yz, zz = along * n.y * n.y, along * n.y * n.z, along * n.z * n.z
+        if bends == LENGTH:
+            xx, yy, zz = xx + across, yy + across, zz + across
+        elif across > 0.0:
+            m = row(elements.new_memory, e)
+            xx, xy, xz = xx + across * m.x * m.x, xy + across * m.x * m.y, xz + across * m.x * m.z
+            yy, yz, zz = yy + across * m.y * m.y, yz + across * m.y * m.z, zz + across * m.z * m.z
+        t = elements.tensor
+        t[e, 0], t[e, 1], t[e, 2], t[e, 3], t[e, 4], t[e, 5] = xx, xy, xz, yy, yz, zz
 
 
 @kernel

@@ -11,7 +11,8 @@ from sim.damping import damping_ratios
 from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, set_damping, set_matrix_factors, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
-from sim.solve.multiscale import build_preconditioner
+from sim.solve.cg import make_workspace
+from sim.solve.multigrid import build_preconditioner
 from sim.solve.system import add_curvature, add_elements, add_forces, build_system, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
 
@@ -76,6 +77,7 @@ class Model:
         stencils = [s.elements.nodes for s in self.springs]
         self.matrix, self._gathers = build_system(len(self.masses), stencils)
         self.preconditioner = build_preconditioner(self.mesh, self.free, self.matrix)
+        self.work = make_workspace(len(self.masses))
 
     def linearise(
         self,

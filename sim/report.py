@@ -30,7 +30,7 @@ class StepReport:
         ms: Milliseconds by phase, and "total".
         iterations: Of the linear solver.
         newton: Newton iterations.
-        residual: Estimated mass-weighted position error that the last linear solve left [m].
+        residual: Estimated position error, at the worst vertex, that the last linear solve left [m].
         converged: Whether the solver reached the tolerance.
         contacts: Contacts that detection found.
         penetrations: Vertices inside an obstacle at the end of the step.

@@ -3,29 +3,53 @@
 Fixed vertices are eliminated: their entries of every direction are zero. Sums are taken over a fixed number
 of chunks, so the result is the same to the bit for any number of threads.
 
-The solver stops on the error, not on the residual. After d more iterations the drop
-Σ_{j=k}^{k+d−1} α_j r_jᵀ P⁻¹ r_j is a lower bound of the squared error ‖x_k − x*‖²_A that tightens quickly
-(Strakoš and Tichý 2002), and ‖·‖_A bounds the mass-weighted norm from above because A − M is positive
-semi-definite.
+The solver stops on the error at the worst vertex, not on the residual. Every WINDOW iterations it asks how
+far the farthest vertex has gone since the last time, and by what factor such windows shrink: of their size or
+of the drop of the squared error in the A-norm, Σ α r·z (Strakoš and Tichý 2002), whichever shrinks less. What
+is still to come is then their geometric series. Where an error is so local that a window has hardly begun to
+move it, the preconditioned residual still shows it, some times smaller than it is.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from sim.compiled import inner, kernel, parallel_kernel
-from sim.solve.multiscale import CHUNKS, in_order, precondition
+from sim.compiled import CHUNKS, inner, kernel, parallel_kernel, share
+from sim.solve.multigrid import in_order, precondition
 
-WINDOW = 5
-"""Iterations d whose drop estimates the error."""
+WINDOW = 6
+"""Iterations between two looks at the error."""
 
-SAFETY = 8.0
-"""Largest error of a vertex over the mass-weighted mean that is allowed for."""
+SLOWEST = 0.95
+"""Largest factor by which windows are taken to shrink: slower than that, their ratio is noise."""
+
+SAFETY = 1.5
+"""What the estimate is multiplied by, as windows do not shrink evenly."""
+
+LEVERAGE, CERTAINTY = 5.0, 100.0
+"""The error is seldom less, and never was more, than so many times the preconditioned residual."""
 
 CONVERGED, EXHAUSTED, BROKEN = 0, 1, 2
+
+
+class Workspace(NamedTuple):
+    """Room for the vectors of a solve, (n, 3) each, and for partial sums, (CHUNKS,) each."""
+
+    z: np.ndarray
+    p: np.ndarray
+    ap: np.ndarray
+    old: np.ndarray
+    partial: np.ndarray
+    largest: np.ndarray
+
+
+def make_workspace(n: int) -> Workspace:
+    """Room for a solve of n vertices."""
+    return Workspace(*(np.zeros((n, 3)) for _ in range(4)), np.zeros(CHUNKS), np.zeros(CHUNKS))
 
 
 @parallel_kernel
@@ -34,7 +58,8 @@ def multiply(matrix, free, x, y, partial):
     n = len(x)
     for chunk in numba.prange(CHUNKS):
         total = 0.0
-        for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
+        begin, end = share(chunk, n)
+        for i in range(begin, end):
             if not free[i]:
                 y[i, 0] = y[i, 1] = y[i, 2] = 0.0
                 continue
@@ -56,42 +81,61 @@ def multiply(matrix, free, x, y, partial):
     return in_order(partial)
 
 
-@inner
+@parallel_kernel
 def step_along(alpha, p, ap, x, r):
     """X += α p and r −= α A p."""
-    for i in range(len(x)):
-        for c in range(3):
-            x[i, c] += alpha * p[i, c]
-            r[i, c] -= alpha * ap[i, c]
+    n = len(x)
+    for chunk in numba.prange(CHUNKS):
+        begin, end = share(chunk, n)
+        for i in range(begin, end):
+            for c in range(3):
+                x[i, c] += alpha * p[i, c]
+                r[i, c] -= alpha * ap[i, c]
+
+
+@parallel_kernel
+def turn(p, z, beta):
+    """P = z + β p."""
+    n = len(p)
+    for chunk in numba.prange(CHUNKS):
+        begin, end = share(chunk, n)
+        for i in range(begin, end):
+            for c in range(3):
+                p[i, c] = z[i, c] + beta * p[i, c]
 
 
 @inner
-def turn(p, z, beta):
-    """P = z + β p."""
-    for i in range(len(p)):
+def _farthest(x, old):
+    """The largest |x_i − old_i|; old becomes x."""
+    most = 0.0
+    for i in range(len(x)):
+        square = 0.0
         for c in range(3):
-            p[i, c] = z[i, c] + beta * p[i, c]
+            square += (x[i, c] - old[i, c]) ** 2
+            old[i, c] = x[i, c]
+        most = max(most, square)
+    return math.sqrt(most)
 
 
 @kernel
-def conjugate_gradients(matrix, preconditioner, r, x, shortcut, tolerance, most):
+def conjugate_gradients(matrix, preconditioner, work, r, x, shortcut, tolerance, most):
     """Solve A x = b on free vertices.
 
     Args:
         matrix: A, symmetric positive definite.
         preconditioner: P⁻¹, refreshed for A; says which vertices are free.
+        work: Room for the vectors.
         r: (n, 3) the right-hand side b, overwritten by the residual b − A x.
         x: (n, 3) the guess, overwritten by the solution; fixed entries must be zero.
         shortcut: (n, 3) a direction that may hold most of the error (free fall), or zero.
-        tolerance: Error allowed, in the mass-weighted norm ‖x − x*‖_M; already multiplied by √(total mass).
+        tolerance: Error |x_i − x*_i| allowed at the worst vertex i.
         most: Iterations after which it gives up.
 
     Returns:
-        (iterations, estimated error in the norm of `tolerance`, CONVERGED, EXHAUSTED or BROKEN).
+        (iterations, estimated error at the worst vertex, CONVERGED, EXHAUSTED or BROKEN).
     """
-    free, partial = preconditioner.free, np.zeros(CHUNKS)
-    drops = np.zeros(WINDOW)
-    z, p, ap = np.zeros(r.shape), np.zeros(r.shape), np.zeros(r.shape)
+    free, partial, largest = preconditioner.local.free, work.partial, work.largest
+    z, p, ap, old = work.z, work.p, work.ap, work.old
     multiply(matrix, free, x, ap, partial)
     for i in range(len(r)):
         for c in range(3):
@@ -102,24 +146,34 @@ def conjugate_gradients(matrix, preconditioner, r, x, shortcut, tolerance, most)
         for c in range(3):
             along += shortcut[i, c] * r[i, c]
     step_along(along / curvature if curvature > 0.0 else 0.0, shortcut, ap, x, r)
-    rz = precondition(preconditioner, r, z, partial)
-    turn(p, z, 0.0)
-    estimate = math.inf
+    rz, residual = precondition(preconditioner, r, z, partial, largest)
+    for i in range(len(r)):
+        for c in range(3):
+            p[i, c] = z[i, c]
+    _farthest(x, old)
+    estimate, went, drop, dropped = math.inf, 0.0, 0.0, 0.0
     for k in range(most):
         if rz == 0.0:
             return k, 0.0, CONVERGED
         if not rz > 0.0:
             return k, estimate, BROKEN
+        if CERTAINTY * math.sqrt(residual) <= tolerance:
+            return k, CERTAINTY * math.sqrt(residual), CONVERGED
         curvature = multiply(matrix, free, p, ap, partial)
         if not curvature > 0.0:
             return k, estimate, BROKEN
         alpha = rz / curvature
-        drops[k % WINDOW] = alpha * rz
-        estimate = SAFETY * math.sqrt(in_order(drops))
-        old = rz
+        drop += alpha * rz
+        before = rz
         step_along(alpha, p, ap, x, r)
-        rz = precondition(preconditioner, r, z, partial)
-        if k + 1 >= WINDOW and estimate <= tolerance:
-            return k + 1, estimate, CONVERGED
-        turn(p, z, rz / old)
+        rz, residual = precondition(preconditioner, r, z, partial, largest)
+        if (k + 1) % WINDOW == 0:
+            far = _farthest(x, old)
+            if dropped > 0.0:
+                rate = min(max(math.sqrt(drop / dropped), far / went if went > 0.0 else 0.0), SLOWEST)
+                estimate = max(SAFETY * far * rate / (1.0 - rate), LEVERAGE * math.sqrt(residual))
+            went, dropped, drop = far, drop, 0.0
+            if estimate <= tolerance:
+                return k + 1, estimate, CONVERGED
+        turn(p, z, rz / before)
     return most, estimate, EXHAUSTED

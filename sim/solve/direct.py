@@ -12,7 +12,7 @@ from sim.solve.system import Matrix
 def as_sparse(matrix: Matrix) -> csr_array:
     """The whole matrix, (3 n, 3 n)."""
     n = len(matrix.diagonal)
-    first = matrix.first + np.arange(n + 1)
+    first = matrix.first.astype(np.int64) + np.arange(n + 1)
     blocks, column = np.empty((first[-1], 3, 3)), np.empty(first[-1], dtype=np.int32)
     own = np.zeros(first[-1], dtype=bool)
     own[first[:-1]] = True
@@ -21,15 +21,13 @@ def as_sparse(matrix: Matrix) -> csr_array:
     return csr_array(bsr_array((blocks, column, first), shape=(3 * n, 3 * n)))
 
 
-def solve_directly(
-    matrix: Matrix, free: np.ndarray, masses: np.ndarray, b: np.ndarray, x: np.ndarray
-) -> tuple[float, bool]:
+def solve_directly(matrix: Matrix, free: np.ndarray, b: np.ndarray, x: np.ndarray) -> tuple[float, bool]:
     """Fill `x` (n, 3) with the solution of A x = b on `free` vertices, zero on the others.
 
     Returns:
-        The mass-weighted size of the last correction, an estimate of the error, and whether A is positive
-        definite: the factors are L D Lᵀ, since nothing but the diagonal is pivoted on, and D has as many
-        negative entries as A has negative eigenvalues (Sylvester 1852).
+        The largest part of the last correction, an estimate of the error at the worst vertex, and whether A
+        is positive definite: the factors are L D Lᵀ, since nothing but the diagonal is pivoted on, and D has
+        as many negative entries as A has negative eigenvalues (Sylvester 1852).
     """
     kept = np.flatnonzero(np.repeat(free, 3))
     x[:] = 0.0
@@ -45,4 +43,4 @@ def solve_directly(
     correction = factors.solve(right - a @ solution)
     x.ravel()[kept] = solution + correction
     definite = bool((factors.U.diagonal() > 0.0).all())
-    return float(np.sqrt(np.repeat(masses, 3)[kept] @ correction**2)), definite
+    return float(np.abs(correction).max()), definite

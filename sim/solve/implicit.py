@@ -7,7 +7,6 @@ Witkin (1998); more of them, with a line search that never lets Φ grow, converg
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
 from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients
-from sim.solve.multiscale import refresh
+from sim.solve.multigrid import refresh
 
 MOST_ITERATIONS = 5000
 """Iterations after which a linear solve gives up; what it has then is still a descent direction."""
@@ -48,7 +47,7 @@ class Solution:
         velocities: (n, 3) [m/s].
         iterations: Of the linear solver, summed over Newton iterations.
         newton: Newton iterations done.
-        residual: Estimated mass-weighted position error of the last linear solve [m].
+        residual: Estimated position error of the last linear solve at the worst vertex [m].
         converged: The linear solves reached the tolerance, and Newton did where it may iterate.
     """
 
@@ -138,23 +137,22 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     On `loose` pieces, which nothing holds from outside, A moves a translation like M alone does: what
     the residual has of one is taken out exactly, so that the tolerance costs no momentum.
     """
-    to_metres = h / math.sqrt(model.free_mass or 1.0)
     rest = model.masses[:, None] * change + h * forces
     if settings.solver == "direct":
         from sim.solve.direct import solve_directly  # SciPy, which the usual solver does without
 
         step = np.empty_like(rest)
-        error, definite = solve_directly(model.matrix, model.free, model.masses, rest, step)
+        error, definite = solve_directly(model.matrix, model.free, rest, step)
         broken = not (definite and np.isfinite(step).all())
-        return _Linear(step, 1, error * to_metres, error * to_metres <= settings.tolerance, broken)
+        return _Linear(step, 1, h * error, h * error <= settings.tolerance, broken)
     refresh(model.preconditioner, model.matrix)
-    step, allowed = guess.copy(), settings.tolerance / to_metres
+    step, allowed = guess.copy(), settings.tolerance / h
     iterations, error, status = conjugate_gradients(
-        model.matrix, model.preconditioner, rest, step, shortcut, allowed, MOST_ITERATIONS
+        model.matrix, model.preconditioner, model.work, rest, step, shortcut, allowed, MOST_ITERATIONS
     )
     step += _drift(model, loose, rest)
     broken = status == BROKEN or not np.isfinite(step).all()
-    return _Linear(step, iterations, error * to_metres, status == CONVERGED, broken)
+    return _Linear(step, iterations, h * error, status == CONVERGED, broken)
 
 
 def _drift(model: Model, loose: np.ndarray, momentum: np.ndarray) -> np.ndarray:

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import corner, dot, kernel, parallel_kernel, row
-from sim.elements import NORMAL
+from sim.compiled import CHUNKS, corner, dot, indices, inner, kernel, offsets, parallel_kernel, scale, share
+from sim.elements import NONE
+from sim.solve.graph import Graph
 
 
 class Matrix(NamedTuple):
@@ -64,13 +65,18 @@ def build_system(n: int, stencils: list[np.ndarray]) -> tuple[Matrix, list[Gathe
     place[order] = np.arange(len(order))
     matrix = Matrix(
         diagonal=np.zeros((n, 3, 3)),
-        first=np.searchsorted(row[order], np.arange(n + 1)).astype(np.int32),
-        column=column[order].astype(np.int32),
+        first=offsets(np.searchsorted(row[order], np.arange(n + 1))),
+        column=indices(column[order]),
         block=np.zeros((len(order), 3, 3)),
     )
     targets = np.concatenate([np.arange(n), pairs])
-    upper, lower = place[: len(pairs)].astype(np.int32), place[len(pairs) :].astype(np.int32)
+    upper, lower = indices(place[: len(pairs)]), indices(place[len(pairs) :])
     return matrix, [_gather(part, targets, upper, lower) for part in parts]
+
+
+def pattern(matrix: Matrix) -> Graph:
+    """Which vertices the matrix couples."""
+    return Graph(matrix.first.astype(np.int64), matrix.column.astype(np.int64))
 
 
 def _contributions(nodes: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
@@ -93,23 +99,32 @@ def _gather(
     key, element, a, b = part
     order = np.lexsort((element, key))
     return Gather(
-        first=np.append(np.searchsorted(key[order], targets), len(key)).astype(np.int32),
-        element=element[order].astype(np.int32),
-        a=a[order].astype(np.int8),
-        b=b[order].astype(np.int8),
+        first=offsets(np.append(np.searchsorted(key[order], targets), len(key))),
+        element=indices(element[order]),
+        a=a[order].astype(np.uint8),
+        b=b[order].astype(np.uint8),
         upper=upper,
         lower=lower,
     )
 
 
-@kernel
+@parallel_kernel
 def reset(matrix, masses):
     """Set the matrix to the masses (n,) [kg] alone."""
-    matrix.block[:] = 0.0
-    matrix.diagonal[:] = 0.0
-    for i in range(len(masses)):
+    for chunk in numba.prange(CHUNKS):
+        _reset_rows(matrix, share(chunk, len(masses)), masses)
+
+
+@inner
+def _reset_rows(matrix, part, masses):
+    for i in range(part[0], part[1]):
         for r in range(3):
-            matrix.diagonal[i, r, r] = masses[i]
+            for c in range(3):
+                matrix.diagonal[i, r, c] = masses[i] if r == c else 0.0
+        for p in range(matrix.first[i], matrix.first[i + 1]):
+            for r in range(3):
+                for c in range(3):
+                    matrix.block[p, r, c] = 0.0
 
 
 @parallel_kernel
@@ -118,56 +133,49 @@ def add_elements(elements, gather, bends, matrix):
     n = len(matrix.diagonal)
     for target in numba.prange(len(gather.first) - 1):
         xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
-        for c in range(gather.first[target], gather.first[target + 1]):
-            e = gather.element[c]
-            g = corner(elements.gradient, e, gather.a[c])
-            k = corner(elements.gradient, e, gather.b[c])
-            along = elements.along[e]
-            across = elements.across[e] * dot(g, k)
-            if bends == NORMAL:
-                m = row(elements.new_memory, e)
-                xx += across * m.x * m.x
-                xy += across * m.x * m.y
-                xz += across * m.x * m.z
-                yx += across * m.y * m.x
-                yy += across * m.y * m.y
-                yz += across * m.y * m.z
-                zx += across * m.z * m.x
-                zy += across * m.z * m.y
-                zz += across * m.z * m.z
-                across = 0.0
-            xx += along * g.x * k.x + across
-            xy += along * g.x * k.y
-            xz += along * g.x * k.z
-            yx += along * g.y * k.x
-            yy += along * g.y * k.y + across
-            yz += along * g.y * k.z
-            zx += along * g.z * k.x
-            zy += along * g.z * k.y
-            zz += along * g.z * k.z + across
-        if target < n:
-            block = matrix.diagonal[target]
+        if bends != NONE:
+            for c in range(gather.first[target], gather.first[target + 1]):
+                e = gather.element[c]
+                w = elements.weight[e, gather.a[c]] * elements.weight[e, gather.b[c]]
+                xx += w * elements.tensor[e, 0]
+                xy += w * elements.tensor[e, 1]
+                xz += w * elements.tensor[e, 2]
+                yy += w * elements.tensor[e, 3]
+                yz += w * elements.tensor[e, 4]
+                zz += w * elements.tensor[e, 5]
+            yx, zx, zy = xy, xz, yz
         else:
-            block = matrix.block[gather.upper[target - n]]
-            other = matrix.block[gather.lower[target - n]]
-            other[0, 0] += xx
-            other[0, 1] += yx
-            other[0, 2] += zx
-            other[1, 0] += xy
-            other[1, 1] += yy
-            other[1, 2] += zy
-            other[2, 0] += xz
-            other[2, 1] += yz
-            other[2, 2] += zz
-        block[0, 0] += xx
-        block[0, 1] += xy
-        block[0, 2] += xz
-        block[1, 0] += yx
-        block[1, 1] += yy
-        block[1, 2] += yz
-        block[2, 0] += zx
-        block[2, 1] += zy
-        block[2, 2] += zz
+            for c in range(gather.first[target], gather.first[target + 1]):
+                e = gather.element[c]
+                g = scale(elements.along[e], corner(elements.gradient, e, gather.a[c]))
+                k = corner(elements.gradient, e, gather.b[c])
+                xx += g.x * k.x
+                xy += g.x * k.y
+                xz += g.x * k.z
+                yx += g.y * k.x
+                yy += g.y * k.y
+                yz += g.y * k.z
+                zx += g.z * k.x
+                zy += g.z * k.y
+                zz += g.z * k.z
+        if target < n:
+            _add(matrix.diagonal, target, xx, xy, xz, yx, yy, yz, zx, zy, zz)
+        else:
+            _add(matrix.block, gather.upper[target - n], xx, xy, xz, yx, yy, yz, zx, zy, zz)
+            _add(matrix.block, gather.lower[target - n], xx, yx, zx, xy, yy, zy, xz, yz, zz)
+
+
+@inner
+def _add(blocks, p, xx, xy, xz, yx, yy, yz, zx, zy, zz):
+    blocks[p, 0, 0] += xx
+    blocks[p, 0, 1] += xy
+    blocks[p, 0, 2] += xz
+    blocks[p, 1, 0] += yx
+    blocks[p, 1, 1] += yy
+    blocks[p, 1, 2] += yz
+    blocks[p, 2, 0] += zx
+    blocks[p, 2, 1] += zy
+    blocks[p, 2, 2] += zz
 
 
 @kernel
@@ -177,7 +185,7 @@ def add_curvature(elements, gather, curvature, h, matrix):
     for target in range(len(gather.first) - 1):
         for c in range(gather.first[target], gather.first[target + 1]):
             e = gather.element[c]
-            a, b = 3 * gather.a[c], 3 * gather.b[c]
+            a, b = 3 * np.int64(gather.a[c]), 3 * np.int64(gather.b[c])
             tension = h * h * elements.stiffness[e] * (elements.q[e] - elements.rest[e])
             for r in range(3):
                 for s in range(3):
@@ -189,14 +197,20 @@ def add_curvature(elements, gather, curvature, h, matrix):
                         matrix.block[gather.lower[target - n], s, r] += value
 
 
-@kernel
+@parallel_kernel
 def add_forces(elements, gather, forces):
     """Add −s g_a of every element to `forces` (n, 3) [N]."""
-    for i in range(len(forces)):
+    for i in numba.prange(len(forces)):
+        x = y = z = 0.0
         for c in range(gather.first[i], gather.first[i + 1]):
-            e = gather.element[c]
-            for r in range(3):
-                forces[i, r] -= elements.tension[e] * elements.gradient[e, gather.a[c], r]
+            e, a = gather.element[c], gather.a[c]
+            tension = elements.tension[e]
+            x += tension * elements.gradient[e, a, 0]
+            y += tension * elements.gradient[e, a, 1]
+            z += tension * elements.gradient[e, a, 2]
+        forces[i, 0] -= x
+        forces[i, 1] -= y
+        forces[i, 2] -= z
 
 
 @kernel

@@ -8,18 +8,19 @@ The height has a sign. A triangle that collapsed and went on is inside out, its 
 spring pushes it back the way it came. Which way that is, the triangle's normal ê × n of the last step tells.
 """
 
+import numba
 import numpy as np
 
-from sim.compiled import cross, dot, kernel, norm, put, put_corner, row, scale, sub
+from sim.compiled import cross, dot, kernel, norm, parallel_kernel, put, put_corner, row, scale, sub
 
 SHORTEST = 1e-12
 """A shorter edge [m] is a point, and a lower triangle has no direction but that of the last step."""
 
 
-@kernel
+@parallel_kernel
 def coordinate(positions, nodes, memory, q, gradient, new_memory):
     """Fill q [m] and its gradient w n, w = (1, −(1 − t), −t); the memory is the normal ê × n."""
-    for e in range(len(nodes)):
+    for e in numba.prange(len(nodes)):
         a = row(positions, nodes[e, 1])
         edge = sub(row(positions, nodes[e, 2]), a)
         to = sub(row(positions, nodes[e, 0]), a)

@@ -5,16 +5,18 @@ the two vertices opposite a hinge they are cross-connect springs, which have no 
 about a flat rest shape, cannot tell a fold up from a fold down, and stiffen the cloth in its plane as well.
 """
 
-from sim.compiled import kernel, norm, put, put_corner, row, scale, sub
+import numba
+
+from sim.compiled import kernel, norm, parallel_kernel, put, put_corner, row, scale, sub
 
 SHORTEST = 1e-12
 """Vertices closer than this [m] have no direction; the one of the last step is kept."""
 
 
-@kernel
+@parallel_kernel
 def coordinate(positions, nodes, memory, q, gradient, new_memory):
     """Fill q = |x2 − x1| [m] and its gradient (−n, n); the memory is the direction n."""
-    for e in range(len(nodes)):
+    for e in numba.prange(len(nodes)):
         d = sub(row(positions, nodes[e, 1]), row(positions, nodes[e, 0]))
         length = norm(d)
         n = scale(1.0 / length, d) if length > SHORTEST else row(memory, e)

@@ -25,7 +25,7 @@ from sim.mesh import build_mesh
 from sim.scene import load_scene
 from sim.solve.cg import conjugate_gradients
 from sim.solve.direct import as_sparse
-from sim.solve.multiscale import CHUNKS, precondition, refresh
+from sim.solve.multigrid import precondition, refresh
 from sim.studies import Cell, Progress, Result, Table, watched
 from sim.threads import processor_threads
 
@@ -169,20 +169,20 @@ def block_jacobi(system: System) -> Callable[[np.ndarray], np.ndarray]:
     return lambda r: np.einsum("nij,nj->ni", inverse, r.reshape(-1, 3)).ravel()
 
 
-def multiscale(system: System) -> Callable[[np.ndarray], np.ndarray]:
+def multigrid(system: System) -> Callable[[np.ndarray], np.ndarray]:
     """Muslin's own."""
-    model, partial = system.world.model, np.zeros(CHUNKS)
+    model = system.world.model
     refresh(model.preconditioner, model.matrix)
     z = np.zeros((len(model.masses), 3))
 
     def apply(r: np.ndarray) -> np.ndarray:
-        precondition(model.preconditioner, system.spread(r), z, partial)
+        precondition(model.preconditioner, system.spread(r), z, model.work.partial, model.work.largest)
         return z.ravel()[system.kept]
 
     return apply
 
 
-PRECONDITIONERS = {"plain": no_preconditioner, "block Jacobi": block_jacobi, "Muslin's": multiscale}
+PRECONDITIONERS = {"plain": no_preconditioner, "block Jacobi": block_jacobi, "Muslin's": multigrid}
 
 LOADS: dict[str, tuple[Callable, Callable]] = {
     "random": (
