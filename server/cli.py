@@ -17,6 +17,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 import sim
+from sim.bench import SECONDS, SIZES, STEPS
 from sim.scene import SceneError, load_scene, scene_files
 
 Texts = tuple[str, ...]
@@ -141,7 +142,36 @@ class Study:
         return list_studies()
 
 
-COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes, "study": Study}
+@dataclass(kw_only=True)
+class Bench:
+    """Measure what a step costs and how exact it is, and what other simulators of cloth need for the same."""
+
+    sizes: Annotated[tuple[int, ...], arg(metavar="VERTICES ...")] = SIZES
+    """Vertices of the square sheets; square numbers."""
+    threads: Annotated[tuple[int, ...], arg(metavar="THREADS ...")] = ()
+    """Processor threads; 1, and 2 where there are as many cores, if none is given."""
+    steps: int = STEPS
+    """Steps of Muslin for each sheet."""
+    seconds: float = SECONDS
+    """Time for each case of a peer [s]; accuracies and Muslin's own steps get more."""
+    peers: bool = False
+    """Measure other simulators, too: those of the extra `peers` that are installed."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write the tables as JSON, with hardware and versions."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write what is printed as a page that needs no network."""
+    markdown: Annotated[str | None, arg(metavar="FILE.md")] = None
+    """Write the tables as Markdown, with hardware, versions, date and command."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.benchmark import run_bench
+
+        files = {"json": self.json, "html": self.html, "markdown": self.markdown}
+        return run_bench(self.sizes, self.threads or None, self.steps, self.seconds, self.peers, **files)
+
+
+COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes, "study": Study, "bench": Bench}
 
 DESCRIPTION = """Try cloth simulation methods side by side.
 
@@ -214,7 +244,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Check | Scenes | Study,
+                Lab | Run | Check | Scenes | Study | Bench,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,

@@ -50,15 +50,25 @@ def run_study(name: str, json: str | None = None, html: str | None = None) -> in
     """
     _check(name, json, html)
     result = _run(name)
+    show(result)
+    write(result, {"study": name}, json, html)
+    return 0
+
+
+def show(result: Result) -> None:
+    """Print a result."""
     _print(result, Console(width=None if sys.stdout.isatty() else WIDTH, markup=False, highlight=False))
+
+
+def write(result: Result, about: dict[str, object], json: str | None, html: str | None) -> None:
+    """Write a result to the files that are given; the JSON begins with what it is `about`."""
     from sim.export import save_json, write_whole
 
     if json is not None:
-        save_json(json, as_json(name, result))
+        save_json(json, as_json(result, about))
     if html is not None:
         page = as_html(result).encode()
         write_whole(html, lambda stream: stream.write(page))
-    return 0
 
 
 def _check(name: str, json: str | None, html: str | None) -> None:
@@ -78,8 +88,8 @@ def _run(name: str) -> Result:
             raise ValueError(f"{name}: {error}") from None
 
 
-def as_json(name: str, result: Result) -> dict[str, object]:
-    """The result as plain data; cells keep all their digits, and what is not finite is null."""
+def as_json(result: Result, about: dict[str, object]) -> dict[str, object]:
+    """The result as plain data, after what it is `about`; cells keep all digits, not finite ones are null."""
     tables = [
         {
             "caption": table.caption,
@@ -89,7 +99,7 @@ def as_json(name: str, result: Result) -> dict[str, object]:
         for table in result.tables
     ]
     return {
-        "study": name,
+        **about,
         "title": result.title,
         "tables": tables,
         "notes": list(result.notes),

@@ -8,12 +8,17 @@ fast-math, so that a result does not depend on how the compiler reorders a sum.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from typing import NamedTuple
 
 from sim.cache import choose_cache
 
 choose_cache()  # before Numba reads where its cache is
+
+# Threads wait for each other awake, for at most so many turns. Where another process has taken a core,
+# OpenMP's own count keeps a step waiting ten times as long as it computes.
+os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
 import numba  # noqa: E402
 import numpy as np  # noqa: E402

@@ -32,6 +32,8 @@ class StepReport:
         newton: Newton iterations.
         residual: Estimated position error, at the worst vertex, that the last linear solve left [m].
         converged: Whether the solver reached the tolerance.
+        solver: What the last linear system was solved with, "cg" or "direct".
+        stopped: Why the solver's last Newton iteration was the last.
         contacts: Contacts that detection found.
         penetrations: Vertices inside an obstacle at the end of the step.
         deepest: How far the deepest of them is inside [m].
@@ -48,6 +50,8 @@ class StepReport:
     newton: int = 0
     residual: float = 0.0
     converged: bool = True
+    solver: str = ""
+    stopped: str = ""
     contacts: int = 0
     penetrations: int = 0
     deepest: float = 0.0

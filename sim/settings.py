@@ -307,24 +307,25 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         ),
     ] = 1
     solver: Annotated[
-        Literal["cg", "direct"],
+        Literal["auto", "cg", "direct"],
         choice(
             "Solver",
             "How the linear systems of a step are solved.",
             choices=lambda: {
+                "auto": "conjugate gradients, and a factorisation where they take longer than that",
                 "cg": "conjugate gradients, to the tolerance",
                 "direct": "a sparse factorisation, to rounding",
             },
             label="linear solver",
-            cost="direct is faster on small cloth and stiff chains, and far slower on large cloth",
+            cost="direct is faster on very stiff cloth and for many digits, and far slower on large cloth",
         ),
-    ] = "cg"
+    ] = "auto"
     tolerance: Annotated[
         float,
         number(
             "m",
             "Solver",
-            "Position error that a linear solve may leave.",
+            "Position error that a linear solve may leave at the worst vertex.",
             ge=1e-12,
             le=1e-2,
             scale="log",

@@ -263,6 +263,7 @@ class Simulation:
             raise StepError("positions or velocities are beyond all bounds", "respond", self._suspect())
         report.newton, report.converged = solution.newton, solution.converged
         report.residual = solution.residual
+        report.solver, report.stopped = solution.solver, solution.stopped
         return solution, touch
 
     def _accept(self, solution: Solution, touch: tuple[np.ndarray, np.ndarray], report: StepReport) -> None:

@@ -32,7 +32,13 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     cloth = {"kind": "grid", "size": [0.2, 0.2], "resolution": [3, 3], "pins": ["corner00"]}
     ball = {"kind": "sphere", "center": [0.1, 0.1, -0.05], "radius": 0.05}
     s = scene.settings
-    settings = {"bend": s.bend, "adhoc_rule": s.adhoc_rule, "altitudes": s.altitudes, "contact": "impulse"}
+    settings = {
+        "bend": s.bend,
+        "adhoc_rule": s.adhoc_rule,
+        "altitudes": s.altitudes,
+        "contact": "impulse",
+        "solver": "cg",
+    }
     settings |= {"newton": min(s.newton, 2), "tolerance": 1e-12}  # so that a line search is needed, too
     small = {"cloth": cloth, "obstacle": [ball] if scene.obstacle else [], "settings": settings}
     kinds = kinds_in_force(s).values()

@@ -49,7 +49,8 @@ class Workspace(NamedTuple):
 
 def make_workspace(n: int) -> Workspace:
     """Room for a solve of n vertices."""
-    return Workspace(*(np.zeros((n, 3)) for _ in range(4)), np.zeros(CHUNKS), np.zeros(CHUNKS))
+    z, p, ap, old = np.zeros((4, n, 3))
+    return Workspace(z, p, ap, old, np.zeros(CHUNKS), np.zeros(CHUNKS))
 
 
 @parallel_kernel

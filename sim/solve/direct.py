@@ -1,9 +1,18 @@
-"""The direct linear solver: a sparse factorisation (SuperLU, Li 2005), for the last digits."""
+"""The direct linear solver: a sparse factorisation, for the last digits.
+
+PARDISO (Schenk and Gärtner 2004) does it where the extra `direct` has installed pypardiso, on one thread so
+that the bits do not depend on how many there are; SuperLU (Li 2005), which comes with SciPy, where not.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import functools
+import threading
+from typing import Any
+
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse import bsr_array, csc_array, csr_array, csr_matrix, triu
 from scipy.sparse.linalg import splu
 
 from sim.solve.system import Matrix
@@ -26,21 +35,74 @@ def solve_directly(matrix: Matrix, free: np.ndarray, b: np.ndarray, x: np.ndarra
 
     Returns:
         The largest part of the last correction, an estimate of the error at the worst vertex, and whether A
-        is positive definite: the factors are L D Lᵀ, since nothing but the diagonal is pivoted on, and D has
-        as many negative entries as A has negative eigenvalues (Sylvester 1852).
+        is positive definite; where it is not, `x` need not be of any use.
     """
     kept = np.flatnonzero(np.repeat(free, 3))
     x[:] = 0.0
     if not len(kept):
         return 0.0, True
-    a = csc_array(as_sparse(matrix)[kept][:, kept])
-    try:
-        factors = splu(a, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    except RuntimeError:
-        return np.inf, False
+    a = as_sparse(matrix)[kept][:, kept]
     right = b.ravel()[kept]
-    solution = factors.solve(right)
-    correction = factors.solve(right - a @ solution)
-    x.ravel()[kept] = solution + correction
-    definite = bool((factors.U.diagonal() > 0.0).all())
+    if not np.isfinite(a.data).all() or not np.isfinite(right).all():
+        return np.inf, False
+    solution, correction, definite = (_by_superlu if pardiso() is None else _by_pardiso)(a, right)
+    x.ravel()[kept] = solution + (correction if definite else 0.0)
     return float(np.abs(correction).max()), definite
+
+
+Solved = tuple[np.ndarray, np.ndarray, bool]
+"""A solution, its correction by one step of iterative refinement, and whether A is positive definite."""
+
+
+def _by_superlu(a: csr_array, b: np.ndarray) -> Solved:
+    """By factors L D Lᵀ: nothing but the diagonal is pivoted on.
+
+    D has as many negative entries as A has negative eigenvalues (Sylvester 1852).
+    """
+    try:
+        factors = splu(
+            csc_array(a), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError:  # a pivot is exactly zero
+        return _no_solution(b)
+    solution = factors.solve(b)
+    return solution, factors.solve(b - a @ solution), bool((factors.U.diagonal() > 0.0).all())
+
+
+def _no_solution(b: np.ndarray) -> Solved:
+    return np.zeros_like(b), np.full_like(b, np.inf), False
+
+
+@functools.cache
+def pardiso() -> Any:
+    """The one PARDISO solver of this process; None where pypardiso is not installed."""
+    try:
+        from pypardiso import PyPardisoSolver
+    except ImportError:
+        return None
+    solver = PyPardisoSolver(mtype=SYMMETRIC_POSITIVE_DEFINITE)
+    solver.libmkl.MKL_Set_Num_Threads(ctypes.c_int(1))  # pyright: ignore[reportOptionalMemberAccess]
+    return solver
+
+
+SYMMETRIC_POSITIVE_DEFINITE = 2
+"""What PARDISO calls matrix type 2."""
+
+_one_at_a_time = threading.Lock()
+
+
+def _by_pardiso(a: csr_array, b: np.ndarray) -> Solved:
+    """By a Cholesky factorisation, which breaks down where A is not positive definite."""
+    from pypardiso.pardiso_wrapper import PyPardisoError
+
+    upper = csr_matrix(triu(a, format="csr"))
+    with _one_at_a_time:
+        solver = pardiso()
+        try:
+            solver.factorize(upper)
+            solution = solver.solve(upper, b)
+            return solution, solver.solve(upper, b - a @ solution), True
+        except PyPardisoError:
+            return _no_solution(b)
+        finally:
+            solver.free_memory(everything=True)

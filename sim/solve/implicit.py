@@ -7,6 +7,7 @@ Witkin (1998); more of them, with a line search that never lets Φ grow, converg
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +16,14 @@ from sim.compiled import corner, dot, kernel, row
 from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
-from sim.solve.cg import BROKEN, CONVERGED, conjugate_gradients
+from sim.solve.cg import BROKEN, CONVERGED, EXHAUSTED, conjugate_gradients
 from sim.solve.multigrid import refresh
 
 MOST_ITERATIONS = 5000
 """Iterations after which a linear solve gives up; what it has then is still a descent direction."""
+
+LARGEST_DIRECT = 20_000
+"""Vertices above which "auto" never factors: memory and time grow too fast."""
 
 SUFFICIENT = 1e-4
 """Part of the predicted decrease of Φ that a step must achieve (Armijo 1966)."""
@@ -49,6 +53,8 @@ class Solution:
         newton: Newton iterations done.
         residual: Estimated position error of the last linear solve at the worst vertex [m].
         converged: The linear solves reached the tolerance, and Newton did where it may iterate.
+        solver: What the last linear system was solved with, "cg" or "direct".
+        stopped: Why Newton's iteration ended.
     """
 
     positions: np.ndarray
@@ -57,6 +63,8 @@ class Solution:
     newton: int
     residual: float
     converged: bool
+    solver: str = ""
+    stopped: str = ""
 
 
 def backward_euler(
@@ -119,7 +127,19 @@ def backward_euler(
         converged = linear.converged and (settings.newton == 1 or small)
         if converged or newton == settings.newton or not step.any():
             end = x_hat + h * velocities
-            return Solution(end, velocities, iterations, newton, linear.error, converged)
+            why = _why_stopped(settings, linear, small, bool(step.any()))
+            return Solution(end, velocities, iterations, newton, linear.error, converged, linear.solver, why)
+
+
+def _why_stopped(settings: Settings, linear: _Linear, small: bool, moved: bool) -> str:
+    """In words, the most telling reason first."""
+    if not linear.converged:
+        return f"the linear solver gave up at an error of {linear.error:.2g} m"
+    if settings.newton == 1:
+        return "linearised: one iteration is all that is asked for"
+    if small:
+        return f"the last change of velocity was below {settings.tolerance / settings.dt:.2g} m/s"
+    return "all iterations used" if moved else "no shorter step lowers the potential"
 
 
 @dataclass(frozen=True)
@@ -129,6 +149,7 @@ class _Linear:
     error: float
     converged: bool
     broken: bool
+    solver: str
 
 
 def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linear:
@@ -139,20 +160,38 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     """
     rest = model.masses[:, None] * change + h * forces
     if settings.solver == "direct":
-        from sim.solve.direct import solve_directly  # SciPy, which the usual solver does without
-
-        step = np.empty_like(rest)
-        error, definite = solve_directly(model.matrix, model.free, rest, step)
-        broken = not (definite and np.isfinite(step).all())
-        return _Linear(step, 1, h * error, h * error <= settings.tolerance, broken)
+        return _solve_directly(model, settings, rest, h, 0)
+    auto, n = settings.solver == "auto", len(rest)
+    most = _worth_a_factorisation(n) if auto and n <= LARGEST_DIRECT else MOST_ITERATIONS
     refresh(model.preconditioner, model.matrix)
-    step, allowed = guess.copy(), settings.tolerance / h
+    right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
     iterations, error, status = conjugate_gradients(
-        model.matrix, model.preconditioner, model.work, rest, step, shortcut, allowed, MOST_ITERATIONS
+        model.matrix, model.preconditioner, model.work, rest, step, shortcut, allowed, most
     )
+    if status == EXHAUSTED and most < MOST_ITERATIONS:
+        return _solve_directly(model, settings, right, h, iterations)
     step += _drift(model, loose, rest)
     broken = status == BROKEN or not np.isfinite(step).all()
-    return _Linear(step, iterations, h * error, status == CONVERGED, broken)
+    return _Linear(step, iterations, h * error, status == CONVERGED, broken, "cg")
+
+
+def _worth_a_factorisation(n: int) -> int:
+    """Iterations that take about as long as factoring the matrix of n vertices; measured from 256 to 4,096.
+
+    Who tries no more of them than that, and then factors, spends at most twice what the faster way takes; and
+    it does not depend on the clock, so that the same run gives the same bits.
+    """
+    return max(30, math.ceil(n ** (2 / 3)))
+
+
+def _solve_directly(model: Model, settings: Settings, right: np.ndarray, h: float, tried: int) -> _Linear:
+    """By a factorisation, after `tried` iterations that were not enough."""
+    from sim.solve.direct import solve_directly  # SciPy, which the usual solver does without
+
+    step = np.empty_like(right)
+    error, definite = solve_directly(model.matrix, model.free, right, step)
+    broken = not (definite and np.isfinite(step).all())
+    return _Linear(step, tried + 1, h * error, h * error <= settings.tolerance, broken, "direct")
 
 
 def _drift(model: Model, loose: np.ndarray, momentum: np.ndarray) -> np.ndarray:

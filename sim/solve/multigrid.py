@@ -278,7 +278,7 @@ def _next_level(
     nodes, owners, count = [np.zeros((0, 3))], [np.zeros(0, int)], 0
     for piece in np.unique(owner[owner >= 0]):
         own = np.flatnonzero(owner == piece)
-        point, node, weight, places = interpolate(points[own], spacing[piece])
+        point, node, weight, places = interpolate(points[own], float(spacing[piece]))
         found.append((own[point], node + count, weight))
         nodes.append(places)
         owners.append(np.full(len(places), piece))

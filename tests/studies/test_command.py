@@ -153,7 +153,7 @@ def test_a_study_that_fails_says_so_in_one_line(monkeypatch, tmp_path, capsys, e
 
 def test_numbers_that_are_not_finite_are_null_in_json_and_cells_are_read_as_people_do():
     odd = Result("", (Table("", ("x",), ((float("inf"),), (float("nan"),), (1.0,))),), ())
-    assert as_json("odd", odd)["tables"][0]["rows"] == [[None], [None], [1.0]]
+    assert as_json(odd, {"study": "odd"})["tables"][0]["rows"] == [[None], [None], [1.0]]
     assert [cell_text(c) for c in (None, 1234, 1234.5678, "a", 0.0)] == ["–", "1,234", "1235", "a", "0"]
 
 

@@ -1,0 +1,112 @@
+"""The bench without a page: measure, print the tables, and write them as JSON, as a page or as Markdown."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rich.console import Console
+
+from server.study import cell_text, show, write
+from sim import bench
+from sim.studies import Result, Table
+
+BUSY = 0.5
+"""Load average from which on other processes disturb."""
+
+
+def run_bench(
+    sizes: Sequence[int],
+    threads: Sequence[int] | None = None,
+    steps: int = bench.STEPS,
+    seconds: float = bench.SECONDS,
+    peers: bool = False,
+    **files: str | None,
+) -> int:
+    """Measure, print, and write to the files that are given as `json`, `html` and `markdown`.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ValueError, OSError: before anything is measured, for a call that makes no sense.
+    """
+    from sim.bench.hardware import hardware, versions
+    from sim.bench.tables import tabulate
+    from sim.export import check_outputs, write_whole
+
+    threads = list(range(1, min(2, os.cpu_count() or 1) + 1)) if threads is None else threads
+    bench.check(sizes, threads, steps, seconds)
+    check_outputs(**files)
+    computer = hardware()
+    found = _run(bench.plan(sizes, threads, steps, seconds, peers))
+    computer["threading_layer"] = next((result["layer"] for _, result in found if "layer" in result), None)
+    about: dict[str, object] = {
+        "command": command(sizes, threads, steps, seconds, peers),
+        "date": datetime.date.today().isoformat(),
+        "hardware": computer,
+        "versions": versions(),
+    }
+    result = tabulate(found)
+    result = replace(result, notes=(*result.notes, *conditions(about)))
+    show(result)
+    write(result, {"bench": "steps", **about}, files.get("json"), files.get("html"))
+    if (path := files.get("markdown")) is not None:
+        text = as_markdown(result).encode()
+        write_whole(path, lambda stream: stream.write(text))
+    return 0
+
+
+def _run(cases: list[bench.Case]) -> list[tuple[bench.Case, bench.Measured]]:
+    """What was found; a terminal is told how far it is."""
+    with Console(stderr=True).status("starting") as status:
+        return bench.run(cases, lambda done, what: status.update(f"{done:.0%}  {what}"))
+
+
+def command(sizes: Sequence[int], threads: Sequence[int], steps: int, seconds: float, peers: bool) -> str:
+    """What to type for the same again."""
+    words = ["muslin", "bench", "--sizes", *map(str, sizes), "--threads", *map(str, threads)]
+    words += ["--steps", str(steps), "--seconds", f"{seconds:g}", *(["--peers"] if peers else [])]
+    return shlex.join(words)
+
+
+def conditions(about: dict[str, object]) -> tuple[str, ...]:
+    """Sentences on what a result was measured with and by."""
+    computer, versions = _items(about["hardware"]), _items(about["versions"])
+    load = dict(computer).get("load")
+    notes = [
+        f"Measured on {about['date']} by `{about['command']}`.",
+        f"Hardware: {', '.join(f'{name} {_known(value)}' for name, value in computer)}. "
+        f"Versions: {', '.join(f'{name} {value}' for name, value in versions)}.",
+    ]
+    if isinstance(load, float) and load > BUSY:
+        notes.append(
+            "The computer was busy with other things before this began: times are too long, and those with "
+            "all cores most of all."
+        )
+    return tuple(notes)
+
+
+def as_markdown(result: Result) -> str:
+    """The result as Markdown."""
+    parts = [f"# {result.title}"]
+    for table in result.tables:
+        parts += [f"## {table.caption}", _markdown_table(table)]
+    return "\n\n".join([*parts, "## What this means", *result.notes]) + "\n"
+
+
+def _items(mapping: object) -> list[tuple[str, object]]:
+    return list(mapping.items()) if isinstance(mapping, dict) else []
+
+
+def _known(value: object) -> str:
+    return "unknown" if value is None else cell_text(value) if isinstance(value, float) else str(value)
+
+
+def _markdown_table(table: Table) -> str:
+    rows = [table.columns, tuple("---" for _ in table.columns)]
+    rows += [tuple(cell_text(cell).replace("|", "\\|") for cell in row) for row in table.rows]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
