@@ -135,7 +135,7 @@ SIDE = math.sqrt(3.0) / 2.0
 def triangle(velocity, apex=(0.5, SIDE), pins=(0, 1), **settings):
     """One triangle at rest but for the velocity of its apex, in the x–y plane."""
     cloth = {"vertices": [[0, 0, 0], [1, 0, 0], [*apex, 0]], "triangles": [[0, 1, 2]], "masses": [0.01] * 3}
-    common = {"stretch": 1.0, "altitude": 1.0, "dt": 2e-3, "newton": 20, "tolerance": 1e-9}
+    common = {"stretch": 1.0, "altitude": 1.0, "dt": 2e-3, "newton": 20, "tolerance": 1e-11}
     world = sim.Simulation(
         scene({**cloth, "pins": list(pins)}, bend="none", integrator="sdirk2", **{**common, **settings})
     )

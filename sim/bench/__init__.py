@@ -31,7 +31,7 @@ STEPS = 120
 SECONDS = 6.0
 """Time for the frames of a case [s]."""
 
-STEPS_SHARE, ACCURACY_SHARE = 1.5, 2.5
+STEPS_SHARE, ACCURACY_SHARE = 1.5, 4.0
 """Time for Muslin's steps, and for all runs of an accuracy, over that of a case of frames."""
 
 Measured = dict[str, Any]

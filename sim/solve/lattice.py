@@ -32,7 +32,7 @@ class Weights(NamedTuple):
 def principal_axes(points: np.ndarray) -> np.ndarray:
     """`points` (k, 3) about their centre, turned so that the widest extent is x and the smallest z."""
     centred = points - points.mean(axis=0)
-    return centred @ np.linalg.svd(centred, full_matrices=False)[2].T
+    return centred @ np.linalg.eigh(centred.T @ centred)[1][:, ::-1]
 
 
 def interpolate(points: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -250,10 +250,10 @@ def own_iterations(system: System) -> int:
     model = system.world.model
     refresh(model.preconditioner, model.matrix)
     weights = np.repeat(system.world.masses, 3)[system.kept]
-    allowed = ERROR * math.sqrt(weights @ system.solution**2)
+    allowed = ERROR * math.sqrt(3.0 * (weights @ system.solution**2) / weights.sum())  # at the worst vertex
     right, none = system.spread(system.right), np.zeros((len(model.masses), 3))
     count, _, _ = conjugate_gradients(
-        model.matrix, model.preconditioner, right, none.copy(), none, allowed, MOST
+        model.matrix, model.preconditioner, model.work, right, none.copy(), none, allowed, MOST
     )
     return int(count)
 

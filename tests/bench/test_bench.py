@@ -82,7 +82,8 @@ def test_ratios_are_of_this_run_and_of_frames_that_both_made(measured):
     assert set(frames.column("/ Muslin")) == {1.0, 5.0}
     assert set(accuracy.column("1 cm: / Muslin")) == {1.0, 5.0}
     assert set(accuracy.column("1 mm: / Muslin")) == {None}
-    assert set(accuracy.column("1 mm: ms per frame")) == {"not reached; best 5 mm at 8 ms"}
+    assert set(accuracy.column("1 mm: ms")) == {"not reached"}
+    assert set(accuracy.column("1 mm: by")) == {"substeps 1: 5 mm, 8 ms"}
 
 
 def test_an_interrupted_run_has_what_was_found(measured):

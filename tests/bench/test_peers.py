@@ -45,7 +45,8 @@ def test_a_peer_that_is_not_installed_has_a_row_that_says_how_to_get_it(monkeypa
 
 
 def test_settings_are_put_into_words():
-    assert words({"substeps": 8, "solver": "CG"}) == "substeps 8, CG"
+    assert words({"substeps": 8, "iterations": 400, "solver": "CG"}) == "8×400 CG"
+    assert words({"substeps": 8}) == "8"
 
 
 def test_versions_are_those_of_the_distribution_and_empty_where_there_is_none():

@@ -1,7 +1,7 @@
 """Newton's extended position-based dynamics.
 
 The 10 substeps of 10 iterations of its hanging-cloth example are for particles of 100 g; on this sheet, with
-particles of a gram or less, they diverge. One iteration in each of 160 substeps does not.
+particles of a gram or less, they diverge. One iteration in each of 160 substeps holds at 1,024 vertices.
 """
 
 from __future__ import annotations
