@@ -223,8 +223,8 @@ def _notes(peers: bool) -> tuple[str, ...]:
     notes += [
         f"Peers get sheets of up to {PEER_SIZE:,} vertices and as many threads as Muslin; start-up has "
         "imports, compilers and the first frame. Ratios are medians over the frames that both solvers made, "
-        "in this run; few frames are those before the sheet has swung or landed. Materials and contact differ, so "
-        "small differences mean nothing:",
+        "in this run; few frames are those before the sheet has swung or landed. Materials and contact "
+        "differ, so small differences mean nothing:",
         *(peer.note for peer in solvers().values()),
         f"The error is the largest distance of a vertex after {HORIZON} frames from the same solver's own "
         "reference: its ladder of settings, refined in time and iterations until a rung changes less than a "
