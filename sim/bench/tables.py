@@ -221,18 +221,18 @@ def _notes(peers: bool) -> tuple[str, ...]:
     if not peers:
         return tuple(notes)
     notes += [
-        f"Peers get sheets of up to {PEER_SIZE:,} vertices and as many threads as Muslin; start-up has "
-        "imports, compilers and the first frame. Ratios are medians over the frames that both solvers made, "
-        "in this run; few frames are those before the sheet has swung or landed. Materials and contact "
-        "differ, so small differences mean nothing:",
+        f"Peers get sheets of up to {PEER_SIZE:,} vertices and as many threads as Muslin; start-up "
+        "has imports, compilers and the first frame. Ratios are medians over the frames that both "
+        "solvers made, in this run; few frames are those before the sheet has swung or landed. "
+        "Materials and contact differ, so small differences mean nothing:",
         *(peer.note for peer in solvers().values()),
-        f"The error is the largest distance of a vertex after {HORIZON} frames from the same solver's own "
-        "reference: its ladder of settings, refined in time and iterations until a rung changes less than a "
-        "tenth of a millimetre, or time is out. What the last rung changed is added to every error. 1 cm is "
-        "what an eye sees of a sheet of 1 m, 1 mm what a contact at a distance of 5 mm can bear. The time is "
-        "short because wrinkles decide soon after: at 0.25 s, halving Muslin's step once more still moved "
-        "vertices by millimetres. Besides its ladder, Muslin tries more settings than its peers do, Taichi "
-        "none.",
+        f"The error is the largest distance of a vertex after {HORIZON} frames from the same "
+        "solver's own reference: its ladder of settings, refined in time and iterations until a "
+        "rung changes less than a tenth of a millimetre, or time is out. What the last rung changed "
+        "is added to every error. 1 cm is what an eye sees of a sheet of 1 m, 1 mm what a contact "
+        "at a distance of 5 mm can bear. The time is short because wrinkles decide soon after: at "
+        "0.25 s, halving Muslin's step once more still moved vertices by millimetres. Besides its "
+        "ladder, Muslin tries more settings than its peers; Taichi none.",
         "Settings are substeps of a frame × iterations in each (Newton iterations of Muslin) and the method; "
         "where a target is not reached, they are those with the smallest error. The longest edge is the "
         "largest strain of any edge: where own settings exceed the converged value, the solver is softer "

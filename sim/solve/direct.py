@@ -77,7 +77,7 @@ def _no_solution(b: np.ndarray) -> Solved:
 def pardiso() -> Any:
     """The one PARDISO solver of this process; None where pypardiso is not installed."""
     try:
-        from pypardiso import PyPardisoSolver
+        from pypardiso import PyPardisoSolver  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
     solver = PyPardisoSolver(mtype=SYMMETRIC_POSITIVE_DEFINITE)
@@ -93,7 +93,7 @@ _one_at_a_time = threading.Lock()
 
 def _by_pardiso(a: csr_array, b: np.ndarray) -> Solved:
     """By a Cholesky factorisation, which breaks down where A is not positive definite."""
-    from pypardiso.pardiso_wrapper import PyPardisoError
+    from pypardiso.pardiso_wrapper import PyPardisoError  # pyright: ignore[reportMissingImports]
 
     upper = csr_matrix(triu(a, format="csr"))
     with _one_at_a_time:
