@@ -158,7 +158,7 @@ def conjugate_gradients(matrix, preconditioner, work, r, x, shortcut, tolerance,
             return k, 0.0, CONVERGED
         if not rz > 0.0:
             return k, estimate, BROKEN
-        if CERTAINTY * math.sqrt(residual) <= tolerance:
+        if k > 0 and CERTAINTY * math.sqrt(residual) <= tolerance:  # small errors add up over steps
             return k, CERTAINTY * math.sqrt(residual), CONVERGED
         curvature = multiply(matrix, free, p, ap, partial)
         if not curvature > 0.0:
