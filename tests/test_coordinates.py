@@ -14,7 +14,7 @@ KINDS = {**STRETCH, **BENDING}
 RIGHT = [name for name, kind in KINDS.items() if not kind.wrong]
 
 GRADIENT, HESSIAN = 1e-8, 1e-7  # fourth-order differences over 1e-3 of the least height: 1e-12 and rounding
-NET = 1e-11  # some dozen terms, each rounded to 2e-16, and thin triangles lose a few digits more
+NET = 1e-12  # a sum of some dozen terms, each rounded to 2e-16
 
 SHAPES = {
     "generic": [[0, 0, 0], [1, 0.1, 0.2], [0.3, 0.8, 0.1], [0.5, -0.7, 0.3]],

@@ -57,9 +57,11 @@ def feet(hinge, before):
     across = cross(v, u)
     square = dot(across, across)
     if square > PARALLEL * a * c:
-        w = scale(-1.0, hinge.to3)
-        a1 = (b * dot(v, w) - c * dot(u, w)) / square
-        a2 = (a * dot(v, w) - b * dot(u, w)) / square
+        a1 = a2 = 0.0
+        for _ in range(2):  # once more, so that lines almost parallel lose no digits
+            w = sub(scale(a1, u), add(hinge.to3, scale(a2, v)))
+            d1, d2 = (b * dot(v, w) - c * dot(u, w)) / square, (a * dot(v, w) - b * dot(u, w)) / square
+            a1, a2 = a1 + d1, a2 + d2
         n = scale(1.0 / math.sqrt(square), across)
         return a1, a2, n, dot(hinge.to3, n)
     a2 = 0.5
