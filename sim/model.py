@@ -12,7 +12,7 @@ from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, set_damping, set_
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
 from sim.solve.cg import make_workspace
-from sim.solve.multigrid import build_preconditioner
+from sim.solve.preconditioner import build_preconditioner
 from sim.solve.system import add_curvature, add_elements, add_forces, build_system, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
 

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from sim.compiled import CHUNKS, inner, kernel, parallel_kernel, share
-from sim.solve.multigrid import in_order, precondition
+from sim.solve.preconditioner import in_order, precondition
 
 WINDOW = 6
 """Iterations between two looks at the error."""

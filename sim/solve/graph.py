@@ -15,6 +15,20 @@ class Graph(NamedTuple):
     column: np.ndarray
 
 
+def starts(sorted_keys: np.ndarray, count: int) -> np.ndarray:
+    """(count + 1,) where each key's entries start among sorted ones."""
+    return np.searchsorted(sorted_keys, np.arange(count + 1)).astype(np.int64)
+
+
+def symmetric(i: np.ndarray, j: np.ndarray, n: int) -> tuple[Graph, np.ndarray, np.ndarray]:
+    """The graph of n that couples each i with its j, and the places of all (i, j) and all (j, i) in it."""
+    ends, others = np.concatenate([i, j]).astype(np.int64), np.concatenate([j, i]).astype(np.int64)
+    order = np.lexsort((others, ends))
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    return Graph(starts(ends[order], n), others[order]), place[: len(i)], place[len(i) :]
+
+
 def connected(graph: Graph, inside: np.ndarray, most: int) -> list[np.ndarray]:
     """The vertices `inside` (n,) bool, split into connected sets of at most `most`.
 

@@ -17,7 +17,7 @@ from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
 from sim.solve.cg import BROKEN, CONVERGED, EXHAUSTED, conjugate_gradients
-from sim.solve.multigrid import refresh
+from sim.solve.preconditioner import refresh
 
 MOST_ITERATIONS = 5000
 """Iterations after which a linear solve gives up; what it has then is still a descent direction."""

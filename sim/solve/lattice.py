@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.solve.graph import starts
+
 NEGLIGIBLE = 1e-3
 """Coordinates this part of a cell above a lattice plane count as lying on it."""
 
@@ -64,8 +66,3 @@ def by_point(point: np.ndarray, node: np.ndarray, weight: np.ndarray, n: int) ->
     """The same weights, ordered by point."""
     order = np.lexsort((node, point))
     return Weights(starts(point[order], n), node[order].astype(np.int64), weight[order])
-
-
-def starts(sorted_keys: np.ndarray, count: int) -> np.ndarray:
-    """(count + 1,) where each key's entries start among sorted ones."""
-    return np.searchsorted(sorted_keys, np.arange(count + 1)).astype(np.int64)

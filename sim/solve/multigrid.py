@@ -1,16 +1,8 @@
-"""The preconditioner: what is fast locally, exact solves where cloth is free to flap, and coarse levels.
+"""The coarse levels of the preconditioner: one symmetric multigrid cycle V for the Galerkin matrix Hᵀ A H.
 
-    P⁻¹ = D⁻¹ + Σ patches A_k⁻¹ + H V Hᵀ
-
-D⁻¹ inverts the 3 × 3 blocks of single vertices. It is slow to find two things, which the others know.
-Motions that are smooth over several edges: H interpolates them linearly from the nodes of a lattice over the
-rest shape (`sim.solve.lattice`), and V is one symmetric multigrid cycle (Gauss–Seidel down and up, exact on
-the coarsest level) for the Galerkin matrix Hᵀ A H and coarser ones. And motions that bend cloth almost
-without stretching it: the free hem can flap in short waves, so the vertices within a few rings of it are
-solved for together (`sim.solve.patches`), as are those joined by edges much shorter than the mesh's.
-
-All of that is symmetric and positive definite, so it suits conjugate gradients. What depends on the mesh
-alone is built once; `refresh` computes the rest anew for each matrix, in a fixed order.
+The first level's nodes are those of a lattice over the rest shape of each piece, H interpolates from them
+linearly (`sim.solve.lattice`), and every further level does the same for the nodes of the level before. A
+cycle relaxes by Gauss–Seidel on the way down and back up, and solves the coarsest level exactly.
 """
 
 from __future__ import annotations
@@ -20,12 +12,12 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import CHUNKS, indices, inner, kernel, offsets, parallel_kernel, share
+from sim.compiled import indices, inner, offsets, parallel_kernel
 from sim.mesh import Mesh
-from sim.solve.graph import Graph, connected, grown
-from sim.solve.lattice import Weights, by_point, interpolate, principal_axes, starts
-from sim.solve.patches import Patches, band_width, build_patches, factor, solve_patch
-from sim.solve.system import Matrix, pattern
+from sim.solve.graph import Graph, connected, grown, symmetric
+from sim.solve.lattice import Weights, by_point, interpolate, principal_axes
+from sim.solve.patches import Patches, build_patches, factor, solve_patch
+from sim.solve.system import invert
 
 SPACING, COARSENING = 3.0, 4.0
 """Mean edge lengths between nodes of the finest lattice, and ratio from each lattice to the next."""
@@ -33,29 +25,8 @@ SPACING, COARSENING = 3.0, 4.0
 COARSEST = 300
 """A level of at most so many nodes is solved exactly."""
 
-RINGS = 4
-"""Rings of vertices from a free edge inwards that make up the hem."""
-
-SHORT = 0.5
-"""Edges shorter than this part of the mean join vertices that are solved for together."""
-
-LARGEST = 512
-"""Vertices of a patch before it is cut: it is cut into parts that can be solved side by side."""
-
-OVERLAP = 6
-"""Rings by which parts of a patch overlap, so that the cuts do not show."""
-
-WORK = 2000.0
-"""Multiplications per vertex of the mesh that factoring a patch may cost; a costlier one is cut smaller."""
-
-SMALLEST = 64
-"""Vertices of a part that is not cut smaller, whatever it costs."""
-
 PRODUCTS = 256
 """Parts of the Galerkin product; its targets differ in work, so there are many."""
-
-LANES = 8
-"""Parts that patches and coarse levels are shared out to."""
 
 
 class Coarse(NamedTuple):
@@ -102,148 +73,18 @@ class Coarse(NamedTuple):
     b: np.ndarray
 
 
-class Local(NamedTuple):
-    """What happens at each of the n vertices.
-
-    Attributes:
-        free: (n,) bool.
-        single: (n,) bool, which vertices are free and in no patch.
-        inverse: (n, 3, 3) inverses of the diagonal blocks of A at single vertices.
-        of_place: (n + 1,) where each vertex's places in patches start in `place`.
-        place: Rows of the patches' room.
-        of_vertex: (n + 1,) where each vertex's nodes of the first coarse level start in `node`.
-        node: The nodes that a vertex depends on.
-        node_weight: Their weights.
-        of_node: (m1 + 1,) where each node's vertices start in `vertex`.
-        vertex: The vertices that depend on a node.
-        vertex_weight: Its weights there.
-        shares: (CHUNKS + 1,) nodes split so that every part has about as many vertices.
-    """
-
-    free: np.ndarray
-    single: np.ndarray
-    inverse: np.ndarray
-    of_place: np.ndarray
-    place: np.ndarray
-    of_vertex: np.ndarray
-    node: np.ndarray
-    node_weight: np.ndarray
-    of_node: np.ndarray
-    vertex: np.ndarray
-    vertex_weight: np.ndarray
-    shares: np.ndarray
-
-
-class Lanes(NamedTuple):
-    """Tasks shared out to lanes that run side by side.
-
-    Attributes:
-        first: (LANES + 1,) where each lane's tasks start in `task`.
-        task: Patches by number; −1 stands for the coarse levels.
-    """
-
-    first: np.ndarray
-    task: np.ndarray
-
-
-class Preconditioner(NamedTuple):
-    """P⁻¹; `coarsest` holds the patches of the last level's matrix."""
-
-    local: Local
-    patches: Patches
-    coarse: Coarse
-    coarsest: Patches
-    lanes: Lanes
-
-
-def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Preconditioner:
-    """Patches and coarse levels of `mesh`, and where they meet the blocks of `matrix`."""
-    n = len(free)
-    lengths = np.linalg.norm(np.diff(mesh.rest_vertices[mesh.edges], axis=1)[:, 0], axis=1)
-    patches = build_patches(pattern(matrix), _patch_sets(mesh, free, matrix, lengths))
-    weights, coarse, coarsest = _levels(mesh, free, matrix, lengths)
-    m = int(coarse.level[1])
-    single = free.copy()
-    single[patches.vertex] = False
-    point = np.repeat(np.arange(n), np.diff(weights.first))
-    order = np.lexsort((point, weights.node))
-    of_node = starts(weights.node[order], m)
-    share = np.searchsorted(of_node, np.linspace(0, of_node[-1], CHUNKS + 1)).clip(0, m)
-    local = Local(
-        free=free,
-        single=single,
-        inverse=np.zeros((n, 3, 3)),
-        of_place=offsets(starts(np.sort(patches.vertex), n)),
-        place=indices(np.argsort(patches.vertex, kind="stable")),
-        of_vertex=offsets(weights.first),
-        node=indices(weights.node),
-        node_weight=weights.weight,
-        of_node=offsets(of_node),
-        vertex=indices(point[order]),
-        vertex_weight=weights.weight[order],
-        shares=share.astype(np.int64),
-    )
-    return Preconditioner(local, patches, coarse, coarsest, _lanes(patches, coarse, coarsest))
-
-
-def _patch_sets(mesh: Mesh, free: np.ndarray, matrix: Matrix, lengths: np.ndarray) -> list[np.ndarray]:
-    """The vertices of each patch: the hem, and what short edges join, cut where it would cost too much."""
-    n = len(free)
-    hem = _hem(mesh)
-    mean = _mean_lengths(mesh, lengths)
-    a, b = mesh.edges.T
-    joined = (hem[a] & hem[b]) | (lengths < SHORT * mean[mesh.pieces[a]])
-    a, b = mesh.edges[joined & free[a] & free[b]].T
-    ends, others = np.concatenate([a, b]), np.concatenate([b, a])
-    order = np.lexsort((others, ends))
-    graph = Graph(starts(ends[order], n), others[order])
-    whole, sets = pattern(matrix), []
-    inside = np.diff(graph.first) > 0
-    for component in connected(graph, inside, n):
-        member = np.zeros(n, dtype=bool)
-        member[component] = True
-        most = LARGEST
-        while True:
-            parts = connected(graph, member, most)
-            parts = [grown(graph, part, member, OVERLAP if len(parts) > 1 else 0) for part in parts]
-            if most <= SMALLEST or _work(whole, parts) <= WORK * n:
-                break
-            most //= 2
-        sets += parts
-    return sets
-
-
-def _work(graph: Graph, sets: list[np.ndarray]) -> float:
-    """Multiplications that factoring takes."""
-    return sum(1.5 * len(members) * band_width(graph, members) ** 2 for members in sets)
-
-
-def _hem(mesh: Mesh) -> np.ndarray:
-    """(n,) bool: vertices within RINGS rings of an edge that has a triangle on one side only, or none."""
-    sides = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, inverse, count = np.unique(
-        np.concatenate([sides, np.sort(mesh.edges, axis=1)]), axis=0, return_inverse=True, return_counts=True
-    )
-    bare = count[inverse.ravel()[len(sides) :]] < 3
-    hem = np.zeros(len(mesh.vertices), dtype=bool)
-    hem[mesh.edges[bare]] = True
-    for _ in range(RINGS - 1):
-        near = hem[mesh.edges].any(axis=1)
-        hem[mesh.edges[near]] = True
-    return hem
-
-
-def _mean_lengths(mesh: Mesh, lengths: np.ndarray) -> np.ndarray:
-    """(pieces,) mean edge length [m], zero for a piece without edges."""
-    piece, count = mesh.pieces[mesh.edges[:, 0]], len(mesh.density)
-    return np.bincount(piece, lengths, count) / np.maximum(np.bincount(piece, minlength=count), 1)
-
-
-def _levels(
-    mesh: Mesh, free: np.ndarray, matrix: Matrix, lengths: np.ndarray
+def build_levels(
+    mesh: Mesh, free: np.ndarray, graph: Graph, lengths: np.ndarray
 ) -> tuple[Weights, Coarse, Patches]:
-    """Weights from the vertices to the first level, all coarse levels, and the patches of the coarsest."""
-    n, spacing = len(free), SPACING * _mean_lengths(mesh, lengths)
+    """Weights from the vertices to the first level, all coarse levels, and the patches of the coarsest.
+
+    Args:
+        mesh: The cloth.
+        free: (n,) bool, the vertices that depend on nodes.
+        graph: Which of them A couples.
+        lengths: (pieces,) mean edge length of each piece [m].
+    """
+    n, spacing = len(free), SPACING * lengths
     owner = np.where(free & (spacing[mesh.pieces] > 0.0), mesh.pieces, -1)
     points = np.zeros((n, 3))
     for piece in range(len(spacing)):
@@ -252,7 +93,7 @@ def _levels(
             points[own] = principal_axes(mesh.rest_vertices[own])
     weights, points, owner = _next_level(points, owner, spacing)
     up, sizes = list[Weights](), [len(points)]
-    products = [_galerkin(pattern(matrix), weights, len(points))]
+    products = [_galerkin(graph, weights, len(points))]
     while len(points) > COARSEST:
         spacing = COARSENING * spacing
         coarser, points, owner = _next_level(points, owner, spacing)
@@ -321,14 +162,11 @@ def _galerkin(fine: Graph, weights: Weights, m: int) -> _Galerkin:
     key = key[order]
     pairs = np.unique(key[key >= m])
     i, j = np.divmod(pairs - m, m) if m else (pairs, pairs)
-    ends, others = np.concatenate([i, j]), np.concatenate([j, i])
-    sorting = np.lexsort((others, ends))
-    place = np.empty_like(sorting)
-    place[sorting] = np.arange(len(sorting))
+    graph, upper, lower = symmetric(i, j, m)
     return _Galerkin(
-        graph=Graph(starts(ends[sorting], m), others[sorting]),
-        upper=np.concatenate([-1 - np.arange(m), place[: len(pairs)]]),
-        lower=np.concatenate([np.zeros(m, int), place[len(pairs) :]]),
+        graph=graph,
+        upper=np.concatenate([-1 - np.arange(m), upper]),
+        lower=np.concatenate([np.zeros(m, int), lower]),
         of_target=np.append(np.searchsorted(key, np.concatenate([np.arange(m), pairs])), len(key)),
         source=source[order],
         weight=factor_[order],
@@ -382,43 +220,6 @@ def _joined(sizes: list[int], products: list[_Galerkin], ups: list[Weights]) -> 
     return coarse, build_patches(graph, parts)
 
 
-def _lanes(patches: Patches, coarse: Coarse, coarsest: Patches) -> Lanes:
-    """Tasks shared out to lanes, the longest first and each to the lane with the least to do.
-
-    The two longest stand in the first and the last lane: the first half of the lanes, which is one thread's
-    part of two, has then about as much to do as the second.
-    """
-    length = 3.0 * np.diff(patches.first) * patches.width
-    cycle = 3.0 * float(np.diff(coarsest.first) @ coarsest.width) + 9.0 * len(coarse.column)
-    work = {-1: cycle, **dict(enumerate(length))}
-    lanes: list[list[int]] = [[] for _ in range(LANES)]
-    load = np.zeros(LANES)
-    for task in sorted(work, key=lambda t: (-work[t], t)):
-        lane = int(load.argmin())
-        lanes[lane].append(task)
-        load[lane] += work[task]
-    order = [*range(0, LANES, 2), *range(LANES - 1, 0, -2)]
-    counts = [len(lanes[k]) for k in order]
-    return Lanes(np.concatenate([[0], np.cumsum(counts)]), np.array([t for k in order for t in lanes[k]]))
-
-
-@kernel
-def refresh(preconditioner, matrix):
-    """Compute P⁻¹ anew for `matrix`."""
-    h = preconditioner
-    invert_singles(h.local, matrix)
-    galerkin(h.coarse, matrix)
-    factor_lanes(h.lanes, h.patches, h.coarse, h.coarsest, matrix)
-
-
-@parallel_kernel
-def invert_singles(local, matrix):
-    """Invert the diagonal blocks of A of single vertices."""
-    for i in numba.prange(len(local.single)):
-        if local.single[i]:
-            invert(matrix.diagonal[i], local.inverse[i])
-
-
 @parallel_kernel
 def galerkin(coarse, matrix):
     """Fill the blocks of the first level with Hᵀ A H."""
@@ -456,19 +257,8 @@ def _gather(coarse, begin, end, diagonal, block):
             other[2, 0], other[2, 1], other[2, 2] = xz, yz, zz
 
 
-@parallel_kernel
-def factor_lanes(lanes, patches, coarse, coarsest, matrix):
-    """Factor the patches, and prepare the coarse levels."""
-    for lane in numba.prange(LANES):
-        for t in range(lanes.first[lane], lanes.first[lane + 1]):
-            if lanes.task[t] >= 0:
-                factor(patches, lanes.task[t], matrix.diagonal, matrix.block)
-            else:
-                _prepare(coarse, coarsest)
-
-
 @inner
-def _prepare(coarse, coarsest):
+def prepare(coarse, coarsest):
     """The matrices of the second level and on, what Gauss–Seidel needs, and the factors of the last level."""
     for k in range(1, len(coarse.targets) - 1):
         _gather(coarse, coarse.targets[k], coarse.targets[k + 1], coarse.diagonal, coarse.block)
@@ -479,25 +269,7 @@ def _prepare(coarse, coarsest):
 
 
 @inner
-def invert(block, inverse):
-    """Fill `inverse` with that of a symmetric positive 3 × 3 `block`."""
-    a, b, c = block[0, 0], block[0, 1], block[0, 2]
-    d, e, f = block[1, 1], block[1, 2], block[2, 2]
-    # Scaled to 1, so that the determinant of a very stiff or very light vertex neither over- nor underflows.
-    size = max(a, d, f)
-    a, b, c, d, e, f = a / size, b / size, c / size, d / size, e / size, f / size
-    xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
-    s = 1.0 / ((a * xx + b * xy + c * xz) * size)
-    inverse[0, 0] = xx * s
-    inverse[0, 1] = inverse[1, 0] = xy * s
-    inverse[0, 2] = inverse[2, 0] = xz * s
-    inverse[1, 1] = (a * f - c * c) * s
-    inverse[1, 2] = inverse[2, 1] = (b * c - a * e) * s
-    inverse[2, 2] = (a * d - b * b) * s
-
-
-@inner
-def _cycle(coarse, coarsest):
+def cycle(coarse, coarsest):
     """Fill coarse.x on the first level with V coarse.b."""
     c = coarse
     levels = len(c.level) - 1
@@ -547,82 +319,3 @@ def _relax(i, begin, end, column, block, inverse, b, x):
     u, v, w = b[i, 0] - u, b[i, 1] - v, b[i, 2] - w
     for r in range(3):
         x[i, r] = inverse[i, r, 0] * u + inverse[i, r, 1] * v + inverse[i, r, 2] * w
-
-
-@inner
-def precondition(preconditioner, r, z, partial, largest):
-    """Fill z = P⁻¹ r and return rᵀ z and the largest |z_i|²; r must be zero on fixed vertices."""
-    h = preconditioner
-    _to_nodes(h.local, r, h.coarse.b)
-    _solve_lanes(h.lanes, h.patches, h.coarse, h.coarsest, r)
-    return _to_vertices(h.local, h.patches.room, h.coarse.x, r, z, partial, largest)
-
-
-@parallel_kernel
-def _to_nodes(local, r, b):
-    """Fill b on the first level with Hᵀ r."""
-    for chunk in numba.prange(CHUNKS):
-        for m in range(local.shares[chunk], local.shares[chunk + 1]):
-            u = v = w = 0.0
-            for k in range(local.of_node[m], local.of_node[m + 1]):
-                i, s = local.vertex[k], local.vertex_weight[k]
-                u += s * r[i, 0]
-                v += s * r[i, 1]
-                w += s * r[i, 2]
-            b[m, 0], b[m, 1], b[m, 2] = u, v, w
-
-
-@parallel_kernel
-def _solve_lanes(lanes, patches, coarse, coarsest, r):
-    """Solve on the patches, and on the coarse levels."""
-    for lane in numba.prange(LANES):
-        for t in range(lanes.first[lane], lanes.first[lane + 1]):
-            if lanes.task[t] >= 0:
-                solve_patch(patches, lanes.task[t], r)
-            else:
-                _cycle(coarse, coarsest)
-
-
-@parallel_kernel
-def _to_vertices(local, room, x, r, z, partial, largest):
-    """Fill z with what single vertices, patches and nodes give; returns rᵀ z and the largest |z_i|²."""
-    n = len(r)
-    for chunk in numba.prange(CHUNKS):
-        total = most = 0.0
-        begin, end = share(chunk, n)
-        for i in range(begin, end):
-            u, v, w = r[i, 0], r[i, 1], r[i, 2]
-            if local.single[i]:
-                d = local.inverse[i]
-                a = d[0, 0] * u + d[0, 1] * v + d[0, 2] * w
-                b = d[1, 0] * u + d[1, 1] * v + d[1, 2] * w
-                c = d[2, 0] * u + d[2, 1] * v + d[2, 2] * w
-            else:
-                a = b = c = 0.0
-                for k in range(local.of_place[i], local.of_place[i + 1]):
-                    m = local.place[k]
-                    a += room[m, 0]
-                    b += room[m, 1]
-                    c += room[m, 2]
-            for k in range(local.of_vertex[i], local.of_vertex[i + 1]):
-                m, s = local.node[k], local.node_weight[k]
-                a += s * x[m, 0]
-                b += s * x[m, 1]
-                c += s * x[m, 2]
-            z[i, 0], z[i, 1], z[i, 2] = a, b, c
-            total += a * u + b * v + c * w
-            most = max(most, a * a + b * b + c * c)
-        partial[chunk], largest[chunk] = total, most
-    most = 0.0
-    for chunk in range(CHUNKS):
-        most = max(most, largest[chunk])
-    return in_order(partial), most
-
-
-@inner
-def in_order(parts):
-    """The sum of `parts`, first to last."""
-    total = 0.0
-    for part in parts:
-        total += part
-    return total

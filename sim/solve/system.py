@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.compiled import CHUNKS, corner, dot, indices, inner, kernel, offsets, parallel_kernel, scale, share
 from sim.elements import NONE
-from sim.solve.graph import Graph
+from sim.solve.graph import Graph, symmetric
 
 
 class Matrix(NamedTuple):
@@ -59,19 +59,15 @@ def build_system(n: int, stencils: list[np.ndarray]) -> tuple[Matrix, list[Gathe
     parts = [_contributions(nodes.astype(np.int64), n) for nodes in stencils]
     pairs = np.unique(np.concatenate([key[key >= n] for key, *_ in parts] or [np.zeros(0, np.int64)]))
     i, j = np.divmod(pairs - n, n)
-    row, column = np.concatenate([i, j]), np.concatenate([j, i])
-    order = np.argsort(row * n + column, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
+    graph, upper, lower = symmetric(i, j, n)
     matrix = Matrix(
         diagonal=np.zeros((n, 3, 3)),
-        first=offsets(np.searchsorted(row[order], np.arange(n + 1))),
-        column=indices(column[order]),
-        block=np.zeros((len(order), 3, 3)),
+        first=offsets(graph.first),
+        column=indices(graph.column),
+        block=np.zeros((len(graph.column), 3, 3)),
     )
     targets = np.concatenate([np.arange(n), pairs])
-    upper, lower = indices(place[: len(pairs)]), indices(place[len(pairs) :])
-    return matrix, [_gather(part, targets, upper, lower) for part in parts]
+    return matrix, [_gather(part, targets, indices(upper), indices(lower)) for part in parts]
 
 
 def pattern(matrix: Matrix) -> Graph:
@@ -226,3 +222,21 @@ def add_single_node(elements, matrix, forces):
                 matrix.diagonal[i, r, s] += (
                     elements.along[e] * elements.gradient[e, 0, r] * elements.gradient[e, 0, s]
                 )
+
+
+@inner
+def invert(block, inverse):
+    """Fill `inverse` with that of a symmetric positive 3 × 3 `block`."""
+    a, b, c = block[0, 0], block[0, 1], block[0, 2]
+    d, e, f = block[1, 1], block[1, 2], block[2, 2]
+    # Scaled to 1, so that the determinant of a very stiff or very light vertex neither over- nor underflows.
+    size = max(a, d, f)
+    a, b, c, d, e, f = a / size, b / size, c / size, d / size, e / size, f / size
+    xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
+    s = 1.0 / ((a * xx + b * xy + c * xz) * size)
+    inverse[0, 0] = xx * s
+    inverse[0, 1] = inverse[1, 0] = xy * s
+    inverse[0, 2] = inverse[2, 0] = xz * s
+    inverse[1, 1] = (a * f - c * c) * s
+    inverse[1, 2] = inverse[2, 1] = (b * c - a * e) * s
+    inverse[2, 2] = (a * d - b * b) * s

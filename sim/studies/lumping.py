@@ -25,7 +25,7 @@ from sim.mesh import build_mesh
 from sim.scene import load_scene
 from sim.solve.cg import conjugate_gradients
 from sim.solve.direct import as_sparse
-from sim.solve.multigrid import precondition, refresh
+from sim.solve.preconditioner import precondition, refresh
 from sim.studies import Cell, Progress, Result, Table, watched
 from sim.threads import processor_threads
 

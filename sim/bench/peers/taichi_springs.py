@@ -15,6 +15,7 @@ import numpy as np
 
 from sim.bench.peers import Knobs
 from sim.bench.sheet import DENSITY, FRAME, GRAVITY, RADIUS, SPRING, THICKNESS, WIDTH, Sheet
+from sim.mesh import vertex_masses
 
 ti: Any = import_module("taichi")
 
@@ -41,7 +42,7 @@ class SpringRun:
         rest = np.linalg.norm(np.subtract(*mesh.vertices[mesh.edges.T]), axis=1)
         fixed = np.zeros(n, dtype=np.int32)
         fixed[mesh.pinned] = 1
-        masses = _masses(mesh)
+        masses = vertex_masses(mesh, "area", DENSITY)
         constants = SPRING * sheet.spacing / rest
         damping = GAMMA * 2.0 * np.sqrt(constants * DENSITY * WIDTH**2 / n / 2.0)
         self.x, self.v = _vectors(mesh.vertices), _vectors(np.zeros_like(mesh.vertices))
@@ -79,13 +80,6 @@ class SpringRun:
 
 
 start = SpringRun
-
-
-def _masses(mesh: Any) -> np.ndarray:
-    """(n,) a third of each triangle's mass to its corners [kg]."""
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    share = DENSITY * np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    return np.bincount(mesh.triangles.ravel(), np.repeat(share, 3), len(mesh.vertices))
 
 
 def _vectors(values: np.ndarray, kind: Any = ti.f64) -> Any:
