@@ -2,7 +2,8 @@
 
 `kernel` is for what is called from Python: it releases the GIL and is cached on disk. `inner` is for
 helpers. Kernels take arrays or NamedTuples of arrays and have no globals and no I/O; float64 throughout, no
-fast-math, so that a result does not depend on how the compiler reorders a sum.
+fast-math, so that a result does not depend on how the compiler reorders a sum. `unordered` is the exception,
+for long sums inside preconditioners: the compiler may add them up several terms at a time.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np  # noqa: E402
 from numba.core.dispatcher import Dispatcher  # noqa: E402
 
 inner = numba.njit(cache=True, error_model="numpy")
+unordered = numba.njit(cache=True, error_model="numpy", fastmath={"reassoc"})
 
 KERNELS: list[Dispatcher] = []
 """Every kernel of the modules imported so far, for those who want to watch them compile."""

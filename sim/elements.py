@@ -76,6 +76,16 @@ def make_elements(nodes: np.ndarray, memory: int) -> Elements:
 
 
 @parallel_kernel
+def linearise(elements, velocities, inverse_masses, ratios, h, bends):
+    """Do `set_damping`, `set_tension` and `set_matrix_factors` while the elements are in the cache."""
+    for chunk in numba.prange(CHUNKS):
+        part = share(chunk, len(elements.q))
+        _damp(elements, part, inverse_masses, ratios)
+        _tense(elements, part, velocities)
+        _set_factors(elements, part, h, bends)
+
+
+@parallel_kernel
 def set_damping(elements, inverse_masses, ratios):
     """Fill b = γ · 2 √(μ K) from the present gradient; an element without mass or gradient gets none.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.contact.gap import GapSprings
 from sim.damping import damping_ratios
-from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, set_damping, set_matrix_factors, set_tension
+from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
 from sim.solve.cg import make_workspace
@@ -96,20 +96,15 @@ class Model:
         reset(self.matrix, self.masses)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
             elements = springs.elements
-            self._tense(springs, velocities)
             curvature = springs.curvature(positions) if exact else None
             bends = NONE if curvature is not None else BENDS[springs.kind.bends]
-            set_matrix_factors(elements, h, bends)
+            linearise(elements, velocities, self.inverse_masses, self.damping_ratios, h, bends)
             add_elements(elements, gather, bends, self.matrix)
             if curvature is not None:
                 add_curvature(elements, gather, curvature, h, self.matrix)
             add_forces(elements, gather, self._forces)
         contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
-
-    def _tense(self, springs: Springs, velocities: np.ndarray) -> None:
-        set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
-        set_tension(springs.elements, velocities)
 
     @property
     def conservative(self) -> bool:
@@ -128,7 +123,8 @@ class Model:
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
-            self._tense(springs, velocities)
+            set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
+            set_tension(springs.elements, velocities)
             add_forces(springs.elements, gather, forces)
         return forces
 
@@ -158,14 +154,13 @@ class Model:
             How many elements began or ceased to act, and the energy [J] that this put in.
         """
         for s in self.springs if springs is None else springs:
-            s.measure(positions)
-            s.elements.memory[:] = s.elements.new_memory
+            s.remember(positions)
         return self.choose()
 
     def forget(self, positions: np.ndarray) -> None:
         """Start anew at `positions` (n, 3), with nothing remembered but them."""
         for s in self.springs:
-            s.elements.memory[:] = 0.0
+            s.recall(0.0)
         self.remember(positions)
 
     def choose(self) -> tuple[int, float]:
@@ -180,6 +175,6 @@ class Model:
     def restore_memory(self, memory: dict[str, Any], positions: np.ndarray) -> None:
         """Put back what `memory` returned at `positions` (n, 3)."""
         for s in self.springs:
-            s.elements.memory[:] = memory[s.name]
+            s.recall(memory[s.name])
         self.measure(positions)
         self.choose()

@@ -22,7 +22,7 @@ from sim.solve.system import invert
 SPACING, COARSENING = 3.0, 4.0
 """Mean edge lengths between nodes of the finest lattice, and ratio from each lattice to the next."""
 
-COARSEST = 300
+COARSEST = 100
 """A level of at most so many nodes is solved exactly."""
 
 PRODUCTS = 256
@@ -225,43 +225,51 @@ def galerkin(coarse, matrix):
     """Fill the blocks of the first level with Hᵀ A H."""
     for chunk in numba.prange(PRODUCTS):
         begin, end = chunk * coarse.targets[1] // PRODUCTS, (chunk + 1) * coarse.targets[1] // PRODUCTS
-        _gather(coarse, begin, end, matrix.diagonal, matrix.block)
+        _fill(coarse, begin, end, matrix.diagonal, matrix.block)
 
 
 @inner
-def _gather(coarse, begin, end, diagonal, block):
+def _fill(coarse, begin, end, diagonal, block):
+    """Fill the targets from `begin` to `end` from the matrix of the level before."""
+    c = coarse
+    lists = c.of_target, c.source, c.weight, c.upper, c.lower
+    _gather(begin, end, *lists, diagonal, block, c.diagonal, c.block)
+
+
+@inner
+def _gather(begin, end, of_target, source, weight, upper, lower, diagonal, block, to_diagonal, to_block):
     """Fill the targets from `begin` to `end` with their sources, blocks of the matrix of the level before."""
     for target in range(begin, end):
         xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
-        for k in range(coarse.of_target[target], coarse.of_target[target + 1]):
-            s, w = coarse.source[k], coarse.weight[k]
-            a = diagonal[-1 - s] if s < 0 else block[s]
-            xx += w * a[0, 0]
-            xy += w * a[0, 1]
-            xz += w * a[0, 2]
-            yx += w * a[1, 0]
-            yy += w * a[1, 1]
-            yz += w * a[1, 2]
-            zx += w * a[2, 0]
-            zy += w * a[2, 1]
-            zz += w * a[2, 2]
-        place = coarse.upper[target]
-        out = coarse.diagonal[-1 - place] if place < 0 else coarse.block[place]
-        out[0, 0], out[0, 1], out[0, 2] = xx, xy, xz
-        out[1, 0], out[1, 1], out[1, 2] = yx, yy, yz
-        out[2, 0], out[2, 1], out[2, 2] = zx, zy, zz
+        for k in range(of_target[target], of_target[target + 1]):
+            s, w = source[k], weight[k]
+            a, s = (diagonal, -1 - s) if s < 0 else (block, s)
+            xx += w * a[s, 0, 0]
+            xy += w * a[s, 0, 1]
+            xz += w * a[s, 0, 2]
+            yx += w * a[s, 1, 0]
+            yy += w * a[s, 1, 1]
+            yz += w * a[s, 1, 2]
+            zx += w * a[s, 2, 0]
+            zy += w * a[s, 2, 1]
+            zz += w * a[s, 2, 2]
+        place = upper[target]
+        out, p = (to_diagonal, -1 - place) if place < 0 else (to_block, place)
+        out[p, 0, 0], out[p, 0, 1], out[p, 0, 2] = xx, xy, xz
+        out[p, 1, 0], out[p, 1, 1], out[p, 1, 2] = yx, yy, yz
+        out[p, 2, 0], out[p, 2, 1], out[p, 2, 2] = zx, zy, zz
         if place >= 0:
-            other = coarse.block[coarse.lower[target]]
-            other[0, 0], other[0, 1], other[0, 2] = xx, yx, zx
-            other[1, 0], other[1, 1], other[1, 2] = xy, yy, zy
-            other[2, 0], other[2, 1], other[2, 2] = xz, yz, zz
+            p = lower[target]
+            to_block[p, 0, 0], to_block[p, 0, 1], to_block[p, 0, 2] = xx, yx, zx
+            to_block[p, 1, 0], to_block[p, 1, 1], to_block[p, 1, 2] = xy, yy, zy
+            to_block[p, 2, 0], to_block[p, 2, 1], to_block[p, 2, 2] = xz, yz, zz
 
 
 @inner
 def prepare(coarse, coarsest):
     """The matrices of the second level and on, what Gauss–Seidel needs, and the factors of the last level."""
     for k in range(1, len(coarse.targets) - 1):
-        _gather(coarse, coarse.targets[k], coarse.targets[k + 1], coarse.diagonal, coarse.block)
+        _fill(coarse, coarse.targets[k], coarse.targets[k + 1], coarse.diagonal, coarse.block)
     for i in range(coarse.level[-2]):
         invert(coarse.diagonal[i], coarse.inverse[i])
     for k in range(len(coarsest.width)):
@@ -271,18 +279,13 @@ def prepare(coarse, coarsest):
 @inner
 def cycle(coarse, coarsest):
     """Fill coarse.x on the first level with V coarse.b."""
-    c = coarse
+    c = coarse  # its arrays are handed on one by one: with the whole tuple, loops take twice as long
     levels = len(c.level) - 1
     for k in range(levels - 1):
-        c.b[c.level[k + 1] : c.level[k + 2]] = 0.0
-        for i in range(c.level[k], c.level[k + 1]):
-            _relax(i, c.first[i], c.middle[i], c.column, c.block, c.inverse, c.b, c.x)
-        for i in range(c.level[k], c.level[k + 1]):  # what is left of b is what later nodes have changed
-            left = _coupled(c.middle[i], c.first[i + 1], c.column, c.block, c.x)
-            for p in range(c.of_up[i], c.of_up[i + 1]):
-                j, s = c.up[p], c.up_weight[p]
-                for r in range(3):
-                    c.b[j, r] -= s * left[r]
+        begin, end = c.level[k], c.level[k + 1]
+        c.b[end : c.level[k + 2]] = 0.0
+        _relax_down(begin, end, c.first, c.middle, c.column, c.block, c.inverse, c.b, c.x)
+        _restrict(begin, end, c.first, c.middle, c.column, c.block, c.of_up, c.up, c.up_weight, c.x, c.b)
     for k in range(len(coarsest.width)):
         solve_patch(coarsest, k, c.b)
         for m in range(coarsest.first[k], coarsest.first[k + 1]):
@@ -290,13 +293,52 @@ def cycle(coarse, coarsest):
             for r in range(3):
                 c.x[i, r] = coarsest.room[m, r]
     for k in range(levels - 2, -1, -1):
-        for i in range(c.level[k], c.level[k + 1]):
-            for p in range(c.of_up[i], c.of_up[i + 1]):
-                j, s = c.up[p], c.up_weight[p]
-                for r in range(3):
-                    c.x[i, r] += s * c.x[j, r]
-        for i in range(c.level[k + 1] - 1, c.level[k] - 1, -1):
-            _relax(i, c.first[i], c.first[i + 1], c.column, c.block, c.inverse, c.b, c.x)
+        begin, end = c.level[k], c.level[k + 1]
+        _interpolate(begin, end, c.of_up, c.up, c.up_weight, c.x)
+        _relax_up(begin, end, c.first, c.column, c.block, c.inverse, c.b, c.x)
+
+
+@inner
+def _relax_down(begin, end, first, middle, column, block, inverse, b, x):
+    """Solve row after row for x, which is zero before."""
+    for i in range(begin, end):
+        u, v, w = _coupled(first[i], middle[i], column, block, x)
+        _solve_row(inverse, i, b[i, 0] - u, b[i, 1] - v, b[i, 2] - w, x)
+
+
+@inner
+def _relax_up(begin, end, first, column, block, inverse, b, x):
+    """Solve row after row for x, the last first."""
+    for i in range(end - 1, begin - 1, -1):
+        u, v, w = _coupled(first[i], first[i + 1], column, block, x)
+        _solve_row(inverse, i, b[i, 0] - u, b[i, 1] - v, b[i, 2] - w, x)
+
+
+@inner
+def _restrict(begin, end, first, middle, column, block, of_up, up, up_weight, x, b):
+    """Add to b on the next level what is left of it on this one: what later nodes have changed since."""
+    for i in range(begin, end):
+        u, v, w = _coupled(middle[i], first[i + 1], column, block, x)
+        for p in range(of_up[i], of_up[i + 1]):
+            j, s = up[p], up_weight[p]
+            b[j, 0] -= s * u
+            b[j, 1] -= s * v
+            b[j, 2] -= s * w
+
+
+@inner
+def _interpolate(begin, end, of_up, up, up_weight, x):
+    """Add the x of the next level to that of this one."""
+    for i in range(begin, end):
+        u = v = w = 0.0
+        for p in range(of_up[i], of_up[i + 1]):
+            j, s = up[p], up_weight[p]
+            u += s * x[j, 0]
+            v += s * x[j, 1]
+            w += s * x[j, 2]
+        x[i, 0] += u
+        x[i, 1] += v
+        x[i, 2] += w
 
 
 @inner
@@ -313,9 +355,7 @@ def _coupled(begin, end, column, block, x):
 
 
 @inner
-def _relax(i, begin, end, column, block, inverse, b, x):
-    """Solve row i for x_i, given those of the blocks from `begin` to `end`."""
-    u, v, w = _coupled(begin, end, column, block, x)
-    u, v, w = b[i, 0] - u, b[i, 1] - v, b[i, 2] - w
-    for r in range(3):
-        x[i, r] = inverse[i, r, 0] * u + inverse[i, r, 1] * v + inverse[i, r, 2] * w
+def _solve_row(inverse, i, u, v, w, x):
+    x[i, 0] = inverse[i, 0, 0] * u + inverse[i, 0, 1] * v + inverse[i, 0, 2] * w
+    x[i, 1] = inverse[i, 1, 0] * u + inverse[i, 1, 1] * v + inverse[i, 1, 2] * w
+    x[i, 2] = inverse[i, 2, 0] * u + inverse[i, 2, 1] * v + inverse[i, 2, 2] * w

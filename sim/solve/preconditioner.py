@@ -48,6 +48,9 @@ SMALLEST = 64
 LANES = 8
 """Parts that patches and coarse levels are shared out to."""
 
+COUPLING = 25.0
+"""What a block of the coarse levels takes in a cycle, over what an entry of a patch's factor takes."""
+
 
 class Local(NamedTuple):
     """What happens at each of the n vertices.
@@ -185,23 +188,24 @@ def _hem(mesh: Mesh) -> np.ndarray:
 
 
 def _lanes(patches: Patches, coarse: Coarse, coarsest: Patches) -> Lanes:
-    """Tasks shared out to lanes, the longest first and each to the lane with the least to do.
+    """Tasks shared out to lanes, so that each half of the lanes, and each half of that, has as much to do."""
+    solve = 3.0 * np.diff(patches.first) * patches.width
+    cycle = 3.0 * float(np.diff(coarsest.first) @ coarsest.width) + COUPLING * len(coarse.column)
+    lanes = _halved({-1: cycle, **dict(enumerate(solve))}, LANES)
+    counts = [len(lane) for lane in lanes]
+    return Lanes(
+        np.concatenate([[0], np.cumsum(counts)]), np.array([task for lane in lanes for task in lane])
+    )
 
-    The two longest stand in the first and the last lane: the first half of the lanes, which is one thread's
-    part of two, has then about as much to do as the second.
-    """
-    length = 3.0 * np.diff(patches.first) * patches.width
-    cycle = 3.0 * float(np.diff(coarsest.first) @ coarsest.width) + 9.0 * len(coarse.column)
-    work = {-1: cycle, **dict(enumerate(length))}
-    lanes: list[list[int]] = [[] for _ in range(LANES)]
-    load = np.zeros(LANES)
+
+def _halved(work: dict[int, float], lanes: int) -> list[list[int]]:
+    """The tasks in `work` shared out to a power of two of lanes."""
+    if lanes == 1:
+        return [list(work)]
+    halves: list[dict[int, float]] = [{}, {}]
     for task in sorted(work, key=lambda t: (-work[t], t)):
-        lane = int(load.argmin())
-        lanes[lane].append(task)
-        load[lane] += work[task]
-    order = [*range(0, LANES, 2), *range(LANES - 1, 0, -2)]
-    counts = [len(lanes[k]) for k in order]
-    return Lanes(np.concatenate([[0], np.cumsum(counts)]), np.array([t for k in order for t in lanes[k]]))
+        min(halves, key=lambda half: sum(half.values()))[task] = work[task]
+    return [lane for half in halves for lane in _halved(half, lanes // 2)]
 
 
 @kernel

@@ -38,7 +38,9 @@ class Springs:
         unit_stiffness: (e,) K per unit of the setting that scales it.
         active: (e,) bool, which elements act.
         left_out: Elements of the mesh that are too thin, or whose lever is too long, to be used.
+        coordinate: The kernel that measures it.
         value: The setting that scales it.
+        measured: (n, 3) positions that the coordinates are evaluated at [m]; none before the first time.
     """
 
     name: str
@@ -50,12 +52,27 @@ class Springs:
     unit_stiffness: np.ndarray
     active: np.ndarray
     left_out: int
+    coordinate: Callable[..., None]
     value: float = 0.0
+    measured: np.ndarray | None = None
 
     def measure(self, positions: np.ndarray) -> None:
-        """Evaluate q and its gradient at `positions` (n, 3) [m]."""
+        """Evaluate q and its gradient at `positions` (n, 3) [m], unless they are known there."""
+        if self.measured is not None and np.array_equal(positions, self.measured):
+            return
         e = self.elements
         self.coordinate(positions, e.nodes, e.memory, e.q, e.gradient, e.new_memory)
+        self.measured = positions.copy()
+
+    def remember(self, positions: np.ndarray) -> None:
+        """Keep what the coordinates remember of `positions` (n, 3) [m]; they are the same if measured again."""
+        self.measure(positions)
+        self.elements.memory[:] = self.elements.new_memory
+
+    def recall(self, memory: np.ndarray | float) -> None:
+        """Put back the `memory` (e, ·) of another step, or zero for none."""
+        self.elements.memory[:] = memory
+        self.measured = None
 
     def curvature(self, positions: np.ndarray) -> np.ndarray | None:
         """∇²q at `positions`, (e, 3 k, 3 k); None for a kind that does not say."""
@@ -69,7 +86,9 @@ class Springs:
 
     def apply(self, settings: Settings) -> None:
         """Set coordinate, stiffness and rest values for `settings`."""
-        self.coordinate = kernel_of(self.kind, settings)
+        coordinate = kernel_of(self.kind, settings)
+        if coordinate is not self.coordinate:
+            self.coordinate, self.measured = coordinate, None
         self.value = getattr(settings, self.kind.stiffness)
         if self.kind.stencil == "hinges":
             folded, _ = fold(self.rest_positions, settings.rest_angle)
@@ -126,7 +145,9 @@ def build_springs(name: str, kind: SpringKind, mesh: Mesh) -> Springs:
     hinges = kind.stencil == "hinges"
     unit = _bending_unit(kind, rest_positions) if hinges else 1.0 / _positive(elements.rest)
     active = np.ones(len(stencil), dtype=bool)
-    return Springs(name, kind, kind.load(), elements, stencil, rest_positions, unit, active, left_out)
+    module = kind.load()
+    shape = stencil, rest_positions, unit, active, left_out
+    return Springs(name, kind, module, elements, *shape, coordinate=module.coordinate)
 
 
 def measure_each(kind: SpringKind, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
