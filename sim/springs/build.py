@@ -65,7 +65,7 @@ class Springs:
         self.measured = positions.copy()
 
     def remember(self, positions: np.ndarray) -> None:
-        """Keep what the coordinates remember of `positions` (n, 3) [m]; they are the same if measured again."""
+        """Keep what is to be remembered of `positions` (n, 3) [m]; measured again there, all is the same."""
         self.measure(positions)
         self.elements.memory[:] = self.elements.new_memory
 
