@@ -116,7 +116,7 @@ def backward_euler(
             raise SolveError("the linear system is not positive definite or not finite")
         step = linear.step
         small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
-        if settings.newton > 1 and not small and model.conservative:
+        if settings.newton > 1 and model.conservative:
             descent = model.masses[:, None] * change + h * forces
             drift = _drift(model, loose, model.masses[:, None] * step)
             way = step - drift, descent
