@@ -32,7 +32,7 @@ class Elements(NamedTuple):
         nodes: (e, k) int32.
         rest: (e,) q0, in the unit of q.
         stiffness: (e,) K.
-        damping: (e,) b, set once per step.
+        damping: (e,) b, set where the matrix is.
         drift: (e,) speed of the coordinate's other side: zero for springs, an obstacle's for contacts.
         q: (e,) the coordinate.
         gradient: (e, k, 3).

@@ -159,3 +159,18 @@ def test_a_collapsed_stencil_gives_finite_numbers_without_net_force(name, x):
     out = np.empty((1, 3 * k, 3 * k))
     kind.load().curvature(np.ascontiguousarray(x[list(kind.vertices)]), np.arange(k)[None], memory, out)
     assert np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_what_is_remembered_of_a_place_changes_no_bit_of_what_is_measured_there(name):
+    """Steps rely on it: where one ends, springs are measured once for it and for the next."""
+    rng = np.random.default_rng(5)
+    memory = None
+    for size in (0.1, 1.0, 1e-3, 3.0):
+        for shape in SHAPES.values():
+            x = np.array(shape) * (1 + size * rng.standard_normal((4, 3)))
+            q, gradient, memory = measured(name, x, memory)
+            again, same, after = measured(name, x, memory)
+            assert again == q
+            np.testing.assert_array_equal(same, gradient)
+            np.testing.assert_array_equal(after, memory)

@@ -47,8 +47,7 @@ def hinge_at(positions, nodes, e):
 def dihedral(hinge, last):
     """θ [rad], within half a turn of `last`: so it goes on past ±π."""
     theta = math.atan2(dot(hinge.edge, cross(hinge.n2, hinge.n1)) / hinge.length, dot(hinge.n1, hinge.n2))
-    turn = theta - last
-    return last + turn - 2.0 * math.pi * math.floor((turn + math.pi) / (2.0 * math.pi))
+    return theta - 2.0 * math.pi * math.floor((theta - last + math.pi) / (2.0 * math.pi))
 
 
 @inner
