@@ -72,6 +72,12 @@ def share(chunk, n):
     return chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS
 
 
+def even_shares(starts: np.ndarray) -> np.ndarray:
+    """(CHUNKS + 1,) n runs of work, which start at `starts` (n + 1,), split into parts of about as much."""
+    ends = np.searchsorted(starts, np.linspace(0, starts[-1], CHUNKS + 1))
+    return ends.clip(0, len(starts) - 1).astype(np.int64)
+
+
 class Vec3(NamedTuple):
     """A point or direction in a kernel; reads like the paper and compiles to scalars."""
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import indices, inner, offsets, parallel_kernel
+from sim.compiled import CHUNKS, even_shares, indices, inner, offsets, parallel_kernel
 from sim.mesh import Mesh
 from sim.solve.graph import Graph, connected, grown, symmetric
 from sim.solve.lattice import Weights, by_point, interpolate, principal_axes
@@ -24,9 +24,6 @@ SPACING, COARSENING = 3.0, 4.0
 
 COARSEST = 100
 """A level of at most so many nodes is solved exactly."""
-
-PRODUCTS = 256
-"""Parts of the Galerkin product; its targets differ in work, so there are many."""
 
 
 class Coarse(NamedTuple):
@@ -44,6 +41,7 @@ class Coarse(NamedTuple):
         upper: (t,) index in `block` of each target above the diagonal, −1 − i for the diagonal of node i.
         lower: (t,) index of its transpose.
         of_target: (t + 1,) where each target's sources start.
+        shares: (CHUNKS + 1,) the first level's targets split so that every part has about as many sources.
         source: Block of the level before, or of A for the first level, numbered like those of patches.
         weight: Factor of that block.
         of_up: (levels' nodes but the last + 1,) where each node's nodes on the next level start in `up`.
@@ -64,6 +62,7 @@ class Coarse(NamedTuple):
     upper: np.ndarray
     lower: np.ndarray
     of_target: np.ndarray
+    shares: np.ndarray
     source: np.ndarray
     weight: np.ndarray
     of_up: np.ndarray
@@ -208,6 +207,7 @@ def _joined(sizes: list[int], products: list[_Galerkin], ups: list[Weights]) -> 
         upper=np.concatenate(upper).astype(np.int32),
         lower=np.concatenate(lower).astype(np.int32),
         of_target=offsets(np.append(np.concatenate(of_target), contributions)),
+        shares=even_shares(products[0].of_target),
         source=np.concatenate(source).astype(np.int32),
         weight=np.concatenate([p.weight for p in products]),
         of_up=offsets(np.concatenate([[0], *(np.diff(u.first) for u in ups)]).cumsum()),
@@ -223,9 +223,8 @@ def _joined(sizes: list[int], products: list[_Galerkin], ups: list[Weights]) -> 
 @parallel_kernel
 def galerkin(coarse, matrix):
     """Fill the blocks of the first level with Hᵀ A H."""
-    for chunk in numba.prange(PRODUCTS):
-        begin, end = chunk * coarse.targets[1] // PRODUCTS, (chunk + 1) * coarse.targets[1] // PRODUCTS
-        _fill(coarse, begin, end, matrix.diagonal, matrix.block)
+    for chunk in numba.prange(CHUNKS):
+        _fill(coarse, coarse.shares[chunk], coarse.shares[chunk + 1], matrix.diagonal, matrix.block)
 
 
 @inner

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import CHUNKS, indices, inner, kernel, offsets, parallel_kernel, share
+from sim.compiled import CHUNKS, even_shares, indices, inner, kernel, offsets, parallel_kernel, share
 from sim.mesh import Mesh
 from sim.solve.graph import Graph, connected, grown, starts, symmetric
 from sim.solve.multigrid import Coarse, build_levels, cycle, galerkin, prepare
@@ -120,7 +120,6 @@ def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Precon
     point = np.repeat(np.arange(n), np.diff(weights.first))
     order = np.lexsort((point, weights.node))
     of_node = starts(weights.node[order], m)
-    shares = np.searchsorted(of_node, np.linspace(0, of_node[-1], CHUNKS + 1)).clip(0, m)
     local = Local(
         free=free,
         single=single,
@@ -133,7 +132,7 @@ def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Precon
         of_node=offsets(of_node),
         vertex=indices(point[order]),
         vertex_weight=weights.weight[order],
-        shares=shares.astype(np.int64),
+        shares=even_shares(of_node),
     )
     return Preconditioner(local, patches, coarse, coarsest, _lanes(patches, coarse, coarsest))
 

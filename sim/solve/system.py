@@ -12,7 +12,19 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import CHUNKS, corner, dot, indices, inner, kernel, offsets, parallel_kernel, scale, share
+from sim.compiled import (
+    CHUNKS,
+    corner,
+    dot,
+    even_shares,
+    indices,
+    inner,
+    kernel,
+    offsets,
+    parallel_kernel,
+    scale,
+    share,
+)
 from sim.elements import NONE
 from sim.solve.graph import Graph, symmetric
 
@@ -39,6 +51,7 @@ class Gather(NamedTuple):
     Attributes:
         first: (n + p + 1,) where each target's contributions start: first the n vertices, then the p
             coupled pairs.
+        shares: (CHUNKS + 1,) targets split so that every part has about as many contributions.
         element: (c,) element of each contribution.
         a: (c,) its node that stands for the target's row.
         b: (c,) its node that stands for the target's column.
@@ -47,6 +60,7 @@ class Gather(NamedTuple):
     """
 
     first: np.ndarray
+    shares: np.ndarray
     element: np.ndarray
     a: np.ndarray
     b: np.ndarray
@@ -94,8 +108,10 @@ def _gather(
 ) -> Gather:
     key, element, a, b = part
     order = np.lexsort((element, key))
+    first = np.append(np.searchsorted(key[order], targets), len(key))
     return Gather(
-        first=offsets(np.append(np.searchsorted(key[order], targets), len(key))),
+        first=offsets(first),
+        shares=even_shares(first),
         element=indices(element[order]),
         a=a[order].astype(np.uint8),
         b=b[order].astype(np.uint8),
@@ -127,38 +143,41 @@ def _reset_rows(matrix, part, masses):
 def add_elements(elements, gather, bends, matrix):
     """Add along g_a g_bᵀ + across (g_a·g_b) S of every element to the matrix; S as in `sim.elements`."""
     n = len(matrix.diagonal)
-    for target in numba.prange(len(gather.first) - 1):
-        xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
-        if bends != NONE:
-            for c in range(gather.first[target], gather.first[target + 1]):
-                e = gather.element[c]
-                w = elements.weight[e, gather.a[c]] * elements.weight[e, gather.b[c]]
-                xx += w * elements.tensor[e, 0]
-                xy += w * elements.tensor[e, 1]
-                xz += w * elements.tensor[e, 2]
-                yy += w * elements.tensor[e, 3]
-                yz += w * elements.tensor[e, 4]
-                zz += w * elements.tensor[e, 5]
-            yx, zx, zy = xy, xz, yz
-        else:
-            for c in range(gather.first[target], gather.first[target + 1]):
-                e = gather.element[c]
-                g = scale(elements.along[e], corner(elements.gradient, e, gather.a[c]))
-                k = corner(elements.gradient, e, gather.b[c])
-                xx += g.x * k.x
-                xy += g.x * k.y
-                xz += g.x * k.z
-                yx += g.y * k.x
-                yy += g.y * k.y
-                yz += g.y * k.z
-                zx += g.z * k.x
-                zy += g.z * k.y
-                zz += g.z * k.z
-        if target < n:
-            _add(matrix.diagonal, target, xx, xy, xz, yx, yy, yz, zx, zy, zz)
-        else:
-            _add(matrix.block, gather.upper[target - n], xx, xy, xz, yx, yy, yz, zx, zy, zz)
-            _add(matrix.block, gather.lower[target - n], xx, yx, zx, xy, yy, zy, xz, yz, zz)
+    for chunk in numba.prange(CHUNKS):
+        for target in range(gather.shares[chunk], gather.shares[chunk + 1]):
+            if gather.first[target] == gather.first[target + 1]:
+                continue  # coupled by other kinds only
+            xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
+            if bends != NONE:
+                for c in range(gather.first[target], gather.first[target + 1]):
+                    e = gather.element[c]
+                    w = elements.weight[e, gather.a[c]] * elements.weight[e, gather.b[c]]
+                    xx += w * elements.tensor[e, 0]
+                    xy += w * elements.tensor[e, 1]
+                    xz += w * elements.tensor[e, 2]
+                    yy += w * elements.tensor[e, 3]
+                    yz += w * elements.tensor[e, 4]
+                    zz += w * elements.tensor[e, 5]
+                yx, zx, zy = xy, xz, yz
+            else:
+                for c in range(gather.first[target], gather.first[target + 1]):
+                    e = gather.element[c]
+                    g = scale(elements.along[e], corner(elements.gradient, e, gather.a[c]))
+                    k = corner(elements.gradient, e, gather.b[c])
+                    xx += g.x * k.x
+                    xy += g.x * k.y
+                    xz += g.x * k.z
+                    yx += g.y * k.x
+                    yy += g.y * k.y
+                    yz += g.y * k.z
+                    zx += g.z * k.x
+                    zy += g.z * k.y
+                    zz += g.z * k.z
+            if target < n:
+                _add(matrix.diagonal, target, xx, xy, xz, yx, yy, yz, zx, zy, zz)
+            else:
+                _add(matrix.block, gather.upper[target - n], xx, xy, xz, yx, yy, yz, zx, zy, zz)
+                _add(matrix.block, gather.lower[target - n], xx, yx, zx, xy, yy, zy, xz, yz, zz)
 
 
 @inner
