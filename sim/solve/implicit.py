@@ -110,7 +110,7 @@ def backward_euler(
         end = velocities + linear.step
         if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
             none = np.zeros_like(guess)
-            linear = _solve(model, loose, settings, forces, change, linear.step, none, h, prepared=True)
+            linear = _solve(model, loose, settings, forces, change, linear.step, none, h)
             iterations += linear.iterations
         if linear.broken:
             raise SolveError("the linear system is not positive definite or not finite")
@@ -152,7 +152,7 @@ class _Linear:
     solver: str
 
 
-def _solve(model, loose, settings, forces, change, guess, shortcut, h, prepared=False) -> _Linear:
+def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linear:
     """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step.
 
     On `loose` pieces, which nothing holds from outside, A moves a translation like M alone does: what
@@ -163,8 +163,7 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h, prepared=
         return _solve_directly(model, settings, rest, h, 0)
     auto, n = settings.solver == "auto", len(rest)
     most = _worth_a_factorisation(n) if auto and n <= LARGEST_DIRECT else MOST_ITERATIONS
-    if not prepared:
-        refresh(model.preconditioner, model.matrix)
+    refresh(model.preconditioner, model.matrix)
     right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
     iterations, error, status = conjugate_gradients(
         model.matrix, model.preconditioner, model.work, rest, step, shortcut, allowed, most
