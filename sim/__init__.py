@@ -19,7 +19,7 @@ from sim.scene import Scene, SceneError, load_scene
 from sim.settings import Settings
 
 if TYPE_CHECKING:
-    from sim.contact.impact import time_of_impact
+    from sim.contact.time_of_impact import time_of_impact
     from sim.report import StepError, StepReport
     from sim.ringdown import modal_damping
     from sim.simulation import Simulation
@@ -51,7 +51,7 @@ _LATER = {
     "StepReport": "sim.report",
     "equilibrium": "sim.statics",
     "modal_damping": "sim.ringdown",
-    "time_of_impact": "sim.contact.impact",
+    "time_of_impact": "sim.contact.time_of_impact",
 }
 """Where to find what needs numba; imported when it is first used."""
 

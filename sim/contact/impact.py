@@ -5,15 +5,15 @@ pair of a vertex of one primitive and a vertex of the other on it: while all pro
 primitives are farther apart than that. Each projection is linear in time, so jump to the first time at
 which one reaches the gap, and repeat there. Where none does before the end, the pair misses.
 
-A pair that turns as it moves would need many such jumps. From the third on, n also turns: from n here to
-the m between the nearest points a little later, linearly. It is no longer than one, so the projections,
-now quadratic in time, bound the distance as before; the first time at which one reaches the gap has a
-closed form. That doubles the digits of a plain hit, and makes geometric what crept towards a graze.
+A pair that turns as it moves would need thousands of such jumps. From the third on, n also turns: it is the
+product of the two edges that it is square to, so it stays square to them. Each projection is then a cubic in
+time, which the hull of its Bézier control points bounds. Simple roots are approached quadratically, grazes
+geometrically, and what turns close by for long is passed in a few jumps.
 
-No contact is missed, and none is found late, by construction: whatever n and m are, the way jumped over is
-free. Poor ones cost another jump, and where none leads on, the time reached is the answer. Coplanar,
-parallel and degenerate pairs are no special cases. Not promised: a hit is a distance of at most twice the
-gap, so a pair that passes closer than that without touching is one, too.
+No contact is missed, and none is found late, by construction: whatever n is, the way jumped over is free. A
+poor n costs another jump, and where none leads on, the time reached is the answer. Coplanar, parallel and
+degenerate pairs are no special cases. Not promised: a hit is a distance of at most twice the gap, so a pair
+that passes closer than that without touching is one, too.
 
 Compare conservative advancement (Mirtich 1996; Zhang, Lee, Kim 2006), which bounds the motion along n, and
 additive CCD (Li, Kaufman, Jiang 2021), which jumps by distance over speed.
@@ -23,154 +23,27 @@ from __future__ import annotations
 
 import math
 
-import numba
-import numpy as np
-
-from sim.compiled import CHUNKS, Vec3, cross, dot, inner, parallel_kernel, scale, share, sub
+from sim.compiled import Vec3, add, cross, dot, inner, scale, sub
 from sim.contact.closest import edge_edge, separation, vertex_triangle
-from sim.threads import processor_threads
 
 VERTEX_TRIANGLE = 0
 EDGE_EDGE = 1
-KINDS = {"vertex-triangle": VERTEX_TRIANGLE, "edge-edge": EDGE_EDGE}
 
 ROUNDING = 2.0**-47
-"""Least gap as a part of the pair's size, the largest difference of a coordinate at the start or the end:
-eight times what the projections are off by."""
+"""Least gap as a part of the pair's size, the largest difference of a coordinate between two of its vertices
+at the start or the end. Projections, and the jumps made of them, are off by less than two thirds of it."""
 
 NEAR = 2.0
 """A distance of up to so many gaps is a contact, so that the last jump need not be exact."""
 
 STRAIGHT = 2
-"""Jumps before n turns: nearly all misses need one, and a hit along a fixed normal two."""
+"""Jumps before n turns: nearly all misses need one, and most hits along a fixed n two."""
 
 WINDOW = 2.0
-"""How far ahead m is looked for at first, in jumps along a fixed n."""
+"""How far ahead a turning n is tried at first, in jumps along a fixed n."""
 
-MOST = 256
-"""Jumps after which `time_of_impact` takes the time reached for the contact."""
-
-
-def time_of_impact(kind: str, x: np.ndarray) -> np.ndarray:
-    """When pairs of primitives first meet, as their vertices go straight from their start to their end.
-
-    Args:
-        kind: "vertex-triangle" or "edge-edge".
-        x: (n, 8, 3) float64, in any unit: of each pair the vertex and the triangle's three, or the ends of
-            one edge and of the other, at time 0, then the same four at time 1.
-
-    Returns:
-        (n,) earliest times in [0, 1], inf where the pair does not meet.
-
-    Raises:
-        ValueError: Unknown kind, wrong shape, or a number that is not finite.
-
-    No contact is missed, and no time is later than the truth. A pair counts as meeting where it comes closer
-    than 2⁻⁴⁶ (1.4e-14) of its size, which is the largest difference of a coordinate between two of its
-    vertices, at the start or the end; the time is that at which it does. Neither the order of a triangle's
-    vertices, of the edges or of their ends, nor a power of two that scales everything changes a bit. Whether
-    they meet does not change either when start and end are swapped.
-    """
-    if kind not in KINDS:
-        raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
-    try:
-        x = np.ascontiguousarray(x, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"x: expected numbers, got {error}") from None
-    if x.ndim != 3 or x.shape[1:] != (8, 3):
-        raise ValueError(f"x: expected an array of shape (n, 8, 3), got {x.shape}")
-    wrong = np.flatnonzero(~np.isfinite(x).all(axis=(1, 2)))
-    if len(wrong):
-        raise ValueError(f"x[{wrong[0]}]: expected finite numbers, got {x[wrong[0]].tolist()}")
-    times = np.empty(len(x))
-    with processor_threads(numba.get_num_threads()):
-        _times(KINDS[kind], x, times)
-    return times
-
-
-@parallel_kernel
-def _times(kind, x, times):
-    for chunk in numba.prange(CHUNKS):
-        _times_share(kind, x, times, chunk)
-
-
-@inner
-def _times_share(kind, x, times, chunk):
-    first, last = share(chunk, len(x))
-    pair = np.empty((8, 3))
-    for i in range(first, last):
-        times[i] = math.inf
-        for end in (4, 0):  # a miss in either direction of time is none: neither overlooks a contact
-            _normalise(kind, x[i], 4 - end, end, pair)
-            t = impact(kind, *_rows(pair), 0.0, MOST)[0]
-            if t == math.inf:
-                times[i] = t
-                break
-            if end == 4:
-                times[i] = t
-
-
-@inner
-def _rows(x):
-    return (
-        Vec3(x[0, 0], x[0, 1], x[0, 2]),
-        Vec3(x[1, 0], x[1, 1], x[1, 2]),
-        Vec3(x[2, 0], x[2, 1], x[2, 2]),
-        Vec3(x[3, 0], x[3, 1], x[3, 2]),
-        Vec3(x[4, 0], x[4, 1], x[4, 2]),
-        Vec3(x[5, 0], x[5, 1], x[5, 2]),
-        Vec3(x[6, 0], x[6, 1], x[6, 2]),
-        Vec3(x[7, 0], x[7, 1], x[7, 2]),
-    )
-
-
-@inner
-def _normalise(kind, x, start, end, pair):
-    """Fill `pair` with rows `start` + k of x, then `end` + k: relative to the first vertex, ½ to 1 in size.
-
-    The order of k depends on their values only, and the scale is a power of two.
-    """
-    a, b, c, d = 0, 1, 2, 3
-    if kind == VERTEX_TRIANGLE:
-        if _after(x, b, c, start, end):
-            b, c = c, b
-        if _after(x, c, d, start, end):
-            c, d = d, c
-        if _after(x, b, c, start, end):
-            b, c = c, b
-    else:
-        if _after(x, a, b, start, end):
-            a, b = b, a
-        if _after(x, c, d, start, end):
-            c, d = d, c
-        if _after(x, a, c, start, end) or (not _after(x, c, a, start, end) and _after(x, b, d, start, end)):
-            a, b, c, d = c, d, a, b
-    largest = 0.0
-    for k in range(8):
-        for axis in range(3):
-            largest = max(largest, abs(x[k, axis]))
-    down = math.frexp(largest)[1] + 1  # so that differences do not overflow
-    size = 0.0
-    for row, k in enumerate((a, b, c, d)):
-        for axis in range(3):
-            for base, time in ((0, start), (4, end)):
-                value = math.ldexp(x[time + k, axis], -down) - math.ldexp(x[time + a, axis], -down)
-                pair[base + row, axis] = value
-                size = max(size, abs(value))
-    up = math.frexp(size)[1]
-    for k in range(8):
-        for axis in range(3):
-            pair[k, axis] = math.ldexp(pair[k, axis], -up)
-
-
-@inner
-def _after(x, j, k, start, end):
-    """Whether the path of vertex j comes after that of k in lexicographic order."""
-    for time in (start, end):
-        for axis in range(3):
-            if x[time + j, axis] != x[time + k, axis]:
-                return x[time + j, axis] > x[time + k, axis]
-    return False
+PARALLEL = 1e-20
+"""Squared sine of the angle of two edges below which their product is mostly rounding."""
 
 
 @inner
@@ -182,45 +55,39 @@ def impact(kind, a0, a1, a2, a3, b0, b1, b2, b3, gap, most):
     rounding needs, what it needs is kept. After `most` jumps the time reached counts as contact.
 
     Returns:
-        The time; the unit vector n along which the pair was last apart; the weights w of the nearest points.
-        Up to the time, the distance is at least `gap`; there it is at most NEAR times that, unless jumps ran
-        out. A pair as near as this at the start has the time 0. n · Σ wᵢ xᵢ > 0, but where the pair
-        touches at the start already: there n is square to the primitives.
+        The time; a unit vector n; the weights w of the nearest points then (`sim.contact.closest`).
+        Until the time the distance is at least `gap`, and at it no more than NEAR times that, unless jumps
+        ran out. A pair as near as that from the start has the time 0. n is the direction in which the pair
+        was last seen apart, so that n · Σ wᵢ xᵢ > 0; if it touches from the start, n is square to it.
     """
     p1, p2, p3, q1, q2, q3 = sub(a1, a0), sub(a2, a0), sub(a3, a0), sub(b1, b0), sub(b2, b0), sub(b3, b0)
     gap = max(gap, ROUNDING * max(_size(p1), _size(p2), _size(p3), _size(q1), _size(q2), _size(q3)))
     t, window = 0.0, WINDOW
     x1, x2, x3 = p1, p2, p3
     w, r = _nearest(kind, x1, x2, x3)
-    n = _direction(kind, w, r, x1, x2, x3)
+    n = _normal(kind, w, r, x1, x2, x3)
     for jumps in range(most):
         if not dot(r, r) > (NEAR * gap) * (NEAR * gap):
             return t, n, w
         if jumps > 0:
-            n = _direction(kind, w, r, x1, x2, x3)
-        step = _free(kind, n, n, x1, x2, x3, q1, q2, q3, gap)
-        if step == math.inf:
-            return step, n, w
-        reached = t + step * (1.0 - t)
-        if jumps >= STRAIGHT:
+            n = _normal(kind, w, r, x1, x2, x3)
+        reached = _straight(kind, n, p1, p2, p3, q1, q2, q3, t, gap)
+        if jumps >= STRAIGHT and reached < math.inf:
             end = min(t + window * (reached - t), 1.0)
             y1, y2, y3 = _between(p1, q1, end), _between(p2, q2, end), _between(p3, q3, end)
-            v, s = _nearest(kind, y1, y2, y3)
-            m = _direction(kind, v, s, y1, y2, y3)
-            if dot(m, n) < 0.0:
-                m = scale(-1.0, m)
-            step = _free(kind, n, m, x1, x2, x3, y1, y2, y3, gap)
-            if step == math.inf and end == 1.0:
-                return step, n, w
-            if step > 1.0:
+            part = _turning(kind, w, r, x1, x2, x3, y1, y2, y3, gap)
+            if part > 1.0:
                 window *= 4.0
-            elif step < 0.25:
+            elif part < 0.25:
                 window = max(0.5 * window, WINDOW)
-            reached = max(reached, t + min(step, 1.0) * (end - t))
-        reached = min(reached, 1.0)
+            reached = max(reached, math.inf if part > 1.0 and end == 1.0 else t + min(part, 1.0) * (end - t))
+        if not reached > t:
+            reached = _any(kind, r, x1, x2, x3, p1, p2, p3, q1, q2, q3, t, gap)
+        if reached == math.inf:
+            return reached, n, w
         if not reached > t:
             return t, n, w
-        t = reached
+        t = min(reached, 1.0)
         x1, x2, x3 = _between(p1, q1, t), _between(p2, q2, t), _between(p3, q3, t)
         w, r = _nearest(kind, x1, x2, x3)
     return t, n, w
@@ -228,62 +95,178 @@ def impact(kind, a0, a1, a2, a3, b0, b1, b2, b3, gap, most):
 
 @inner
 def _nearest(kind, x1, x2, x3):
-    """Weights of the nearest points, and their separation; the vertex 0 is the origin."""
+    """Weights of the nearest points, and their separation; here and below the vertex 0 is the origin."""
     origin = Vec3(0.0, 0.0, 0.0)
     w = vertex_triangle(origin, x1, x2, x3) if kind == VERTEX_TRIANGLE else edge_edge(origin, x1, x2, x3)
     return w, separation(w, origin, x1, x2, x3)
 
 
 @inner
-def _direction(kind, w, r, x1, x2, x3):
-    """Unit vector along the separation r, made square to both primitives where the points lie inside them.
-
-    There r, the difference of two nearly equal points, is all rounding just when it matters most.
-    """
-    n = r
-    if kind == VERTEX_TRIANGLE:
-        if w[1] != 0.0 and w[2] != 0.0 and w[3] != 0.0:
-            n = cross(sub(x2, x1), sub(x3, x1))
-    elif w[0] != 0.0 and w[1] != 0.0 and w[2] != 0.0 and w[3] != 0.0:
-        n = cross(x1, sub(x3, x2))
-    square = dot(n, n)
-    if not square > 0.0:
-        n, square = r, dot(r, r)
-    if not square > 0.0:
-        return Vec3(0.0, 0.0, 1.0)
-    length = math.sqrt(square)
-    return scale(1.0 / length if dot(n, r) >= 0.0 else -1.0 / length, n)
+def _inside(w):
+    """Inside how many edges the nearest points lie; two as well where one lies inside the triangle."""
+    return (w[0] != 0.0) + (w[1] != 0.0) + (w[2] != 0.0) + (w[3] != 0.0) - 2
 
 
 @inner
-def _free(kind, n, m, x1, x2, x3, y1, y2, y3, gap):
-    """Part of the way from x to y on which all projections exceed the gap, or inf if they do to its end.
+def _sides(kind, w, x1, x2, x3):
+    """Two vectors that give the direction between the nearest points, by which of their weights are zero.
 
-    The direction turns from n to m on the way, and the vertex 0 is the origin.
+    Inside two edges, these; inside one, it and the difference of the vertex and an end of it; otherwise any
+    edge and the difference of the two vertices.
     """
-    a1, a2, a3 = dot(n, x1), dot(n, x2), dot(n, x3)
-    b1, b2, b3 = dot(n, y1) + dot(m, x1), dot(n, y2) + dot(m, x2), dot(n, y3) + dot(m, x3)
-    c1, c2, c3 = dot(m, y1), dot(m, y2), dot(m, y3)
     if kind == VERTEX_TRIANGLE:
-        return min(_first(-a1, -b1, -c1, gap), _first(-a2, -b2, -c2, gap), _first(-a3, -b3, -c3, gap))
+        if w[1] != 0.0 and w[2] != 0.0 and w[3] != 0.0:
+            return sub(x2, x1), sub(x3, x1)
+        if w[3] == 0.0:
+            return sub(x2, x1), scale(-1.0, x1 if w[1] != 0.0 else x2)
+        if w[2] == 0.0:
+            return sub(x3, x1), scale(-1.0, x1 if w[1] != 0.0 else x3)
+        return sub(x3, x2), scale(-1.0, x2)
+    first, second = w[0] != 0.0 and w[1] != 0.0, w[2] != 0.0 and w[3] != 0.0
+    if first and second:
+        return x1, sub(x3, x2)
+    c = x2 if w[2] != 0.0 else x3
+    return x1 if first else sub(x3, x2), scale(-1.0, c) if w[0] != 0.0 else sub(x1, c)
+
+
+@inner
+def _normal(kind, w, r, x1, x2, x3):
+    """Unit vector along the separation r, of the sides: they are exact where r is all rounding."""
+    u, v = _sides(kind, w, x1, x2, x3)
+    inside = _inside(w)
+    if inside == 2:
+        n = cross(u, v)
+        if not dot(n, n) > PARALLEL * dot(u, u) * dot(v, v):
+            n = cross(cross(u, r), u)
+        n, e = _unit(n), _unit(u)
+        n = sub(n, scale(dot(n, e), e))
+    elif inside == 1:
+        n = cross(cross(u, v), u)
+    else:
+        n = v
+    if not dot(n, n) > 0.0:
+        n = r
+    return _towards(r, _unit(n))
+
+
+@inner
+def _towards(r, n):
+    """Whichever of n and −n points along r."""
+    return n if dot(n, r) >= 0.0 else scale(-1.0, n)
+
+
+@inner
+def _unit(a):
+    """A / |a|, or zero."""
+    square = dot(a, a)
+    return scale(1.0 / math.sqrt(square), a) if square > 0.0 else a
+
+
+@inner
+def _straight(kind, n, p1, p2, p3, q1, q2, q3, t, gap):
+    """First time from t on when a projection on n is at most the gap, or inf; p are at time 0, q at 1."""
+    f1, f2, f3 = dot(n, p1), dot(n, p2), dot(n, p3)
+    g1, g2, g3 = dot(n, q1), dot(n, q2), dot(n, q3)
+    if kind == VERTEX_TRIANGLE:
+        return min(_reached(-f1, -g1, t, gap), _reached(-f2, -g2, t, gap), _reached(-f3, -g3, t, gap))
     return min(
-        _first(-a2, -b2, -c2, gap),
-        _first(-a3, -b3, -c3, gap),
-        _first(a1 - a2, b1 - b2, c1 - c2, gap),
-        _first(a1 - a3, b1 - b3, c1 - c3, gap),
+        _reached(-f2, -g2, t, gap),
+        _reached(-f3, -g3, t, gap),
+        _reached(f1 - f2, g1 - g2, t, gap),
+        _reached(f1 - f3, g1 - g3, t, gap),
     )
 
 
 @inner
-def _first(a, b, c, gap):
-    """Least τ in [0, 1] at which a (1 − τ)² + b τ (1 − τ) + c τ² is at most the gap, or inf."""
-    a, b, c = a - gap, 0.5 * b - gap, c - gap
+def _reached(f, g, t, gap):
+    """First time from t on at which the way from f at time 0 to g at time 1 is at most the gap, or inf."""
+    if not f + t * (g - f) > gap:
+        return t
+    if g > gap:
+        return math.inf
+    return (f - gap) / (f - g)
+
+
+@inner
+def _any(kind, r, x1, x2, x3, p1, p2, p3, q1, q2, q3, t, gap):
+    """Farthest jump from t along any direction square to two edges, or to one and through a vertex.
+
+    For a vertex that lands on a side, say: the direction between them is rounding, the triangle's normal not.
+    """
+    farthest = t
+    for k in range(1 if kind == VERTEX_TRIANGLE else 0, 5):
+        w = (float(k), k - 1.0, k - 2.0, k - 3.0)
+        n = _normal(kind, w, r, x1, x2, x3)
+        farthest = max(farthest, _straight(kind, n, p1, p2, p3, q1, q2, q3, t, gap))
+    return farthest
+
+
+@inner
+def _turning(kind, w, r, x1, x2, x3, y1, y2, y3, gap):
+    """Part of the way from x to y on which no projection on a turning n reaches the gap, or inf if all of it.
+
+    n is quadratic in time with control points n0, n1, n2, of which the longest is made one: so |n| ≤ 1.
+    """
+    u, v = _sides(kind, w, x1, x2, x3)
+    s, t = _sides(kind, w, y1, y2, y3)
+    inside = _inside(w)
+    if inside == 0:
+        n0 = _unit(v)
+        n2 = _towards(n0, _unit(t))
+        n1 = scale(0.5, add(n0, n2))
+    else:
+        if inside == 1:  # square to the edge and, at either end, to what is square to edge and difference
+            k = _unit(cross(u, v))
+            u, v, s, t = k, u, _towards(k, _unit(cross(s, t))), s
+        n0, n1, n2 = cross(u, v), scale(0.5, add(cross(u, t), cross(s, v))), cross(s, t)
+    longest = math.sqrt(max(dot(n0, n0), dot(n1, n1), dot(n2, n2)))
+    if not longest > 0.0:
+        return 0.0
+    unit = 1.0 / longest if dot(n0, r) >= 0.0 else -1.0 / longest
+    n0, n1, n2 = scale(unit, n0), scale(unit, n1), scale(unit, n2)
+    a1, b1, c1, d1 = _cubic(n0, n1, n2, x1, y1)
+    a2, b2, c2, d2 = _cubic(n0, n1, n2, x2, y2)
+    a3, b3, c3, d3 = _cubic(n0, n1, n2, x3, y3)
+    if kind == VERTEX_TRIANGLE:
+        return min(
+            _above(-a1, -b1, -c1, -d1, gap), _above(-a2, -b2, -c2, -d2, gap), _above(-a3, -b3, -c3, -d3, gap)
+        )
+    return min(
+        _above(-a2, -b2, -c2, -d2, gap),
+        _above(-a3, -b3, -c3, -d3, gap),
+        _above(a1 - a2, b1 - b2, c1 - c2, d1 - d2, gap),
+        _above(a1 - a3, b1 - b3, c1 - c3, d1 - d3, gap),
+    )
+
+
+@inner
+def _cubic(n0, n1, n2, x, y):
+    """Bézier control points of n · (the way from x to y)."""
+    b, c = dot(n0, y) + 2.0 * dot(n1, x), 2.0 * dot(n1, y) + dot(n2, x)
+    return dot(n0, x), b / 3.0, c / 3.0, dot(n2, y)
+
+
+@inner
+def _above(a, b, c, d, gap):
+    """Part of the way on which the hull of control points at 0, ⅓, ⅔ and 1 exceeds the gap, or inf.
+
+    It first meets the gap on a line from a point above to a later one that is not, whichever comes first.
+    """
+    a, b, c, d = a - gap, b - gap, c - gap, d - gap
     if not a > 0.0:
         return 0.0
-    square = b * b - a * c
-    if c > 0.0 and (b > 0.0 or square < 0.0):
-        return math.inf
-    return a / (a - b + math.sqrt(max(square, 0.0)))
+    part = min(_crossing(0.0, a, 1.0, b), _crossing(0.0, a, 2.0, c), _crossing(0.0, a, 3.0, d))
+    if b > 0.0:
+        part = min(part, _crossing(1.0, b, 2.0, c), _crossing(1.0, b, 3.0, d))
+    if c > 0.0:
+        part = min(part, _crossing(2.0, c, 3.0, d))
+    return part
+
+
+@inner
+def _crossing(i, a, j, b):
+    """Where the line from the i-th control point a > 0 to the j-th, b, is zero, or inf."""
+    return math.inf if b > 0.0 else (i + (j - i) * (a / (a - b))) / 3.0
 
 
 @inner
