@@ -19,6 +19,7 @@ from sim.scene import Scene, SceneError, load_scene
 from sim.settings import Settings
 
 if TYPE_CHECKING:
+    from sim.contact.intersections import intersections
     from sim.contact.time_of_impact import time_of_impact
     from sim.report import StepError, StepReport
     from sim.ringdown import modal_damping
@@ -39,6 +40,7 @@ __all__ = [
     "StepError",
     "StepReport",
     "equilibrium",
+    "intersections",
     "load_scene",
     "modal_damping",
     "time_of_impact",
@@ -50,6 +52,7 @@ _LATER = {
     "StepError": "sim.report",
     "StepReport": "sim.report",
     "equilibrium": "sim.statics",
+    "intersections": "sim.contact.intersections",
     "modal_damping": "sim.ringdown",
     "time_of_impact": "sim.contact.time_of_impact",
 }
