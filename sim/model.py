@@ -6,15 +6,20 @@ from typing import Any
 
 import numpy as np
 
+from sim.contact.contacts import Contacts
 from sim.contact.gap import GapSprings
 from sim.damping import damping_ratios
 from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
 from sim.solve.cg import make_workspace
+from sim.solve.coupling import uncoupled
 from sim.solve.preconditioner import build_preconditioner
 from sim.solve.system import add_curvature, add_elements, add_forces, build_system, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
+
+OUTSIDE = 1e-9
+"""Weights of a contact that sum to more than this have their other side in an obstacle, not in cloth."""
 
 BENDS = {"none": NONE, "length": LENGTH, "normal": NORMAL}
 
@@ -30,6 +35,7 @@ class Model:
         piece_masses: (pieces,) [kg].
         springs: one per kind in force.
         matrix: A, filled by `linearise`.
+        coupling: What contacts add to A between vertices.
         preconditioner: of A, refreshed for each solve.
         damping_ratios: γ over frequency, as `set_damping` reads it.
     """
@@ -77,6 +83,7 @@ class Model:
         stencils = [s.elements.nodes for s in self.springs]
         self.matrix, self._gathers = build_system(len(self.masses), stencils)
         self.preconditioner = build_preconditioner(self.mesh, self.free, self.matrix)
+        self.coupling = uncoupled(len(self.masses))
         self.work = make_workspace(len(self.masses))
 
     def linearise(
@@ -103,7 +110,7 @@ class Model:
             if curvature is not None:
                 add_curvature(elements, gather, curvature, h, self.matrix)
             add_forces(elements, gather, self._forces)
-        contacts.linearise(positions, velocities, h, self.matrix, self._forces)
+        self.coupling = contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
 
     @property
@@ -111,12 +118,24 @@ class Model:
         """Whether the springs' forces are the gradient of an energy."""
         return not any(springs.kind.wrong for springs in self.springs)
 
-    def untouched(self, touching: np.ndarray) -> np.ndarray:
-        """(pieces,) bool: pieces without a pinned vertex and without any of the vertices `touching`."""
-        held = np.zeros(len(self.piece_masses), dtype=bool)
-        held[self.mesh.pieces[self.mesh.pinned]] = True
-        held[self.mesh.pieces[touching]] = True
-        return ~held
+    def loose(self, contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
+        """Which pieces nothing holds from outside, alone or together with those that they touch.
+
+        Returns:
+            (pieces,) the group of pieces joined by contacts that each one is in, and the groups' masses [kg],
+            infinite where a vertex is pinned or touches an obstacle.
+        """
+        group, node, pieces = np.arange(len(self.piece_masses)), contacts.node, self.mesh.pieces
+        acts = contacts.weight != 0.0
+        own = pieces[node[np.arange(len(node)), acts.argmax(axis=1)]]
+        joined = np.unique(np.column_stack([np.repeat(own, 4), pieces[node].ravel()])[acts.ravel()], axis=0)
+        for a, b in joined:
+            group[group == group[b]] = group[a]
+        masses = np.bincount(group, self.piece_masses, len(group))
+        masses[group[pieces[self.mesh.pinned]]] = np.inf
+        outside = np.abs(contacts.weight.sum(axis=1)) > OUTSIDE
+        masses[group[own[outside]]] = np.inf
+        return group, masses
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) elastic, damping and gravity forces [N]."""

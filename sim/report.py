@@ -37,6 +37,8 @@ class StepReport:
         contacts: Contacts that detection found.
         penetrations: Vertices inside an obstacle at the end of the step.
         deepest: How far the deepest of them is inside [m].
+        hits: Pairs that continuous detection found to meet, summed over its rounds.
+        held_back: Vertices that had to be held back, as no impulse led them past what they would have met.
         substeps: Parts that the step was done in.
         integrator: What took the step: the setting, or what stood in for it.
         effects: Each effect and whether it ran, or why not.
@@ -55,6 +57,8 @@ class StepReport:
     contacts: int = 0
     penetrations: int = 0
     deepest: float = 0.0
+    hits: int = 0
+    held_back: int = 0
     substeps: int = 1
     integrator: str = ""
     effects: dict[str, str] = field(default_factory=dict)

@@ -210,31 +210,42 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         number("m/s²", "Cloth", "Acceleration that acts on every vertex.", label="gravity", cost="free"),
     ] = (0.0, 0.0, -9.81)
     contact: Annotated[
-        Literal["none", "penalty", "impulse"],
+        Literal["none", "penalty", "impulse", "postprocess"],
         choice(
             "Contact",
-            "How cloth answers an obstacle: penalty springs in the implicit system (soft, no guarantee), "
-            "or the same and then impulses that leave no vertex inside.",
+            "How cloth answers obstacles and itself: penalty springs in the implicit system (soft, no "
+            "guarantee), the same and then impulses until nothing would meet, or a step that feels nothing "
+            "and is put right afterwards (cheap; loses volume and much of friction).",
             label="collision method",
-            cost="impulses add a second detection",
+            cost="impulses add detection until nothing meets; postprocess is the cheapest",
         ),
     ] = "impulse"
     detection: Annotated[
         Literal["static", "continuous"],
         choice(
             "Contact",
-            "Look for contacts at the start of a step only, or along the whole way of each vertex, "
-            "so that nothing fast is missed.",
+            "Look for contacts at one instant of a step only, or along the whole way of every vertex, "
+            "edge and triangle, so that nothing fast is missed.",
             label="detection",
             cost="continuous costs a few times static",
         ),
     ] = "continuous"
+    self_collision: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            "Contact",
+            "Whether cloth feels cloth: all its vertices, edges and triangles, of one piece or several. "
+            "auto does wherever a collision method is chosen.",
+            label="self-collision",
+            cost="from a tenth to half of the step",
+        ),
+    ] = "auto"
     thickness: Annotated[
         float,
         number(
             "m",
             "Contact",
-            "Distance that cloth keeps from obstacles.",
+            "Distance that cloth keeps from obstacles, and from itself up to 0.4 of a typical edge.",
             ge=1e-5,
             le=0.1,
             scale="log",
@@ -249,7 +260,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         number(
             "",
             "Contact",
-            "Coulomb friction coefficient μ between cloth and obstacles.",
+            "Coulomb friction coefficient μ of cloth on obstacles and on cloth.",
             ge=0.0,
             le=10.0,
             slider=(0.0, 1.0),

@@ -13,6 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from sim.contact.broad import CandidateError
+from sim.contact.contacts import Touch
+from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
 from sim.effects import effects
 from sim.integrators import INTEGRATORS, State
@@ -39,8 +42,7 @@ class Snapshot:
     positions: np.ndarray
     velocities: np.ndarray
     previous: State | None
-    pressed: np.ndarray
-    slip: np.ndarray
+    touched: Touch
     memory: dict[str, np.ndarray]
     injected: float
 
@@ -203,8 +205,7 @@ class Simulation:
             positions=self._positions.copy(),
             velocities=self._velocities.copy(),
             previous=self._previous,
-            pressed=self.contact.pressed.copy(),
-            slip=self.contact.slip.copy(),
+            touched=self.contact.touched,
             memory=self.model.memory(),
             injected=self._injected,
         )
@@ -215,7 +216,7 @@ class Simulation:
         self._ramp, self._time, self._injected = snapshot.ramp, snapshot.time, snapshot.injected
         self._positions, self._velocities = snapshot.positions.copy(), snapshot.velocities.copy()
         self._previous, self._limit = snapshot.previous, None
-        self.contact.pressed, self.contact.slip = snapshot.pressed.copy(), snapshot.slip.copy()
+        self.contact.touched = snapshot.touched
         self.model.restore_memory(snapshot.memory, self._positions)
 
     def step(self) -> StepReport:
@@ -244,11 +245,11 @@ class Simulation:
             report.effects = self._effects(report)
         return report
 
-    def _advance(self, report: StepReport) -> tuple[Solution, tuple[np.ndarray, np.ndarray]]:
+    def _advance(self, report: StepReport) -> tuple[Solution, Touch]:
         """Where the state goes in one step, and how hard it touches what."""
 
-        def solve(springs: Any) -> Solution:
-            way = self.settings, self._positions, self._velocities, self._previous
+        def solve(springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray) -> Solution:
+            way = settings, x, v, self._previous if settings is self.settings else None
             try:
                 solution, report.integrator = take_step(self.model, springs, *way)
             except SolveError as error:
@@ -257,7 +258,10 @@ class Simulation:
 
         state = self.settings, self._time, self._positions, self._velocities
         with np.errstate(over="ignore", invalid="ignore"):  # a step that blows up is refused below
-            solution, touch = self.contact.through(*state, solve, report)
+            try:
+                solution, touch = self.contact.through(*state, solve, report)
+            except CandidateError as error:
+                raise StepError(str(error), "detect", self._suspect()) from None
         calm = np.isfinite(solution.positions) & (np.abs(solution.velocities) < FASTEST)
         if not calm.all():
             raise StepError("positions or velocities are beyond all bounds", "respond", self._suspect())
@@ -266,13 +270,13 @@ class Simulation:
         report.solver, report.stopped = solution.solver, solution.stopped
         return solution, touch
 
-    def _accept(self, solution: Solution, touch: tuple[np.ndarray, np.ndarray], report: StepReport) -> None:
+    def _accept(self, solution: Solution, touch: Touch, report: StepReport) -> None:
         """Make the end of a step the present state."""
         name = self.settings.integrator
         smooth = INTEGRATORS[name].looks_back and report.integrator == name
         self._previous = (self._positions, self._velocities) if smooth else None
         self._positions, self._velocities = solution.positions, solution.velocities
-        self.contact.pressed, self.contact.slip = touch
+        self.contact.touched = touch
         self._time += self.settings.dt
         with report.phase("report"):
             report.energy_jumps, report.energy_jump = self.model.remember(self._positions)

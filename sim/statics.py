@@ -118,7 +118,7 @@ def _minimise(world: Simulation) -> Snapshot:
             h = FIRST
         for exact in (True, False):  # filtered only where the exact Hessian is no minimum's
             forces = model.linearise(x, still, NO_GAP_SPRINGS, h, exact).copy()
-            if solve_directly(model.matrix, model.free, h * h * forces, step)[1]:
+            if solve_directly(model.matrix, model.coupling, model.free, h * h * forces, step)[1]:
                 break
         worth = _worth(world, x, step, 0.5 * float(np.sum(step * (forces + masses * step / h**2))), left)
         if worth > ACCEPTED:
@@ -148,7 +148,9 @@ def _stable(world: Simulation, x: np.ndarray) -> bool:
     """Whether the energy is least at `x`, and not a saddle such as cloth that is flat by symmetry alone."""
     world.model.linearise(x, np.zeros_like(x), NO_GAP_SPRINGS, SLOWEST_FALL, exact=True)
     unused = np.zeros_like(x)
-    return solve_directly(world.model.matrix, world.model.free, unused, unused.copy())[1]
+    return solve_directly(world.model.matrix, world.model.coupling, world.model.free, unused, unused.copy())[
+        1
+    ]
 
 
 def _residual(world: Simulation, x: np.ndarray) -> float:

@@ -120,7 +120,7 @@ def test_continuous_detection_misses_no_way_that_comes_too_near(name, seed):
     a, b = np.random.default_rng(seed).uniform(-1, 1, (2, 3))
     obstacles, thickness = obstacles_of(SHAPES[name]), 0.01
     nearest = min(distance(obstacles, a + t * (b - a))[0] for t in np.linspace(0, 1, 1001))
-    found = len(sweep(SHAPES[name], a, b, thickness).vertex) > 0
+    found = len(sweep(SHAPES[name], a, b, thickness).key) > 0
     if nearest < thickness:
         assert found
     elif nearest > 1.01 * thickness + np.linalg.norm(b - a) / 1000:
@@ -131,8 +131,8 @@ def test_continuous_detection_misses_no_way_that_comes_too_near(name, seed):
 def test_continuous_detection_catches_what_static_detection_lets_tunnel(speed):
     h = 0.02
     start, end = [0, 0, 0.5], [0, 0, 0.5 - speed * h]
-    assert len(sweep(ball(), start, end, continuous=True).vertex) == 1
-    assert len(sweep(ball(), start, end, continuous=False).vertex) == 0
+    assert len(sweep(ball(), start, end, continuous=True).key) == 1
+    assert len(sweep(ball(), start, end, continuous=False).key) == 0
 
 
 def test_a_moving_obstacle_meets_a_vertex_that_stands_still():
@@ -280,7 +280,7 @@ def test_a_spinning_sphere_turns_the_cloth_by_friction_alone():
             world.step()
         x, v, m = world.positions, world.velocities, world.masses
         top_most = (
-            (world.contact.pressed[:, 0] > 0) & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
+            (world.contact.touched.of(np.arange(len(m)))[0] > 0) & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
             if friction
             else np.ones(len(m), bool)
         )

@@ -119,7 +119,15 @@ def test_conjugate_gradients_find_the_dense_solution_with_fixed_vertices():
     x, preconditioner = np.zeros((n, 3)), build_preconditioner(world.mesh, free, world.model.matrix)
     refresh(preconditioner, world.model.matrix)
     _, error, status = conjugate_gradients(
-        world.model.matrix, preconditioner, world.model.work, b.copy(), x, np.zeros_like(b), 1e-10, 10_000
+        world.model.matrix,
+        world.model.coupling,
+        preconditioner,
+        world.model.work,
+        b.copy(),
+        x,
+        np.zeros_like(b),
+        1e-10,
+        10_000,
     )
     kept = np.repeat(free, 3)
     expected = np.linalg.solve(matrix[np.ix_(kept, kept)], b.ravel()[kept])
@@ -297,14 +305,14 @@ def test_a_factorisation_solves_and_knows_a_matrix_that_is_not_definite(solver, 
     matrix, _ = linearised(world, 0.02)
     b = np.random.default_rng(0).standard_normal(world.positions.shape)
     x = np.empty_like(b)
-    error, definite = direct.solve_directly(world.model.matrix, world.model.free, b, x)
+    error, definite = direct.solve_directly(world.model.matrix, world.model.coupling, world.model.free, b, x)
     assert definite
     assert error < 1e-9
     np.testing.assert_allclose(x.ravel(), np.linalg.solve(matrix, b.ravel()), rtol=1e-9, atol=1e-12)
     world.model.matrix.diagonal[3] -= 2.0 * np.eye(3) * np.abs(matrix).max()
-    assert not direct.solve_directly(world.model.matrix, world.model.free, b, x)[1]
+    assert not direct.solve_directly(world.model.matrix, world.model.coupling, world.model.free, b, x)[1]
     world.model.matrix.diagonal[3] = np.nan
-    assert not direct.solve_directly(world.model.matrix, world.model.free, b, x)[1]
+    assert not direct.solve_directly(world.model.matrix, world.model.coupling, world.model.free, b, x)[1]
 
 
 def test_a_step_says_why_its_iteration_stopped():

@@ -11,8 +11,9 @@ def grid(size=(1.0, 1.0), resolution=(8, 8), **more) -> dict[str, Any]:
 
 
 def scene(cloth, *obstacles, **settings) -> dict[str, Any]:
-    """A scene of one cloth; no gravity unless the settings say so."""
-    return {"cloth": cloth, "obstacle": list(obstacles), "settings": {"gravity": [0, 0, 0], **settings}}
+    """A scene of one cloth; without gravity, and not felt by itself, unless the settings say so."""
+    usual = {"gravity": [0, 0, 0], "self_collision": "off"}
+    return {"cloth": cloth, "obstacle": list(obstacles), "settings": {**usual, **settings}}
 
 
 def ball(center=(0.0, 0.0, 0.0), radius=0.3, **more) -> dict[str, Any]:

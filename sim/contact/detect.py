@@ -1,5 +1,7 @@
 """Which vertices touch which obstacle in a step, and the plane that the obstacle shows each of them.
 
+Mesh obstacles are not met here but as pairs of features (`sim.contact.pairs`).
+
 Static detection looks at the start of the step only. Continuous detection follows each vertex, in the
 obstacle's own frame, from its start to where it is predicted to go. The distance to a convex shape is a
 convex function along a line, so Newton's method from the start approaches the first contact and never
@@ -8,12 +10,11 @@ passes it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from sim.compiled import Vec3, add, dot, inner, kernel, row, scale, sub
-from sim.contact.obstacles import Obstacles, Poses, signed_distance
+from sim.compiled import Vec3, add, dot, inner, kernel, put, row, scale, sub
+from sim.contact.contacts import Contacts, make_contacts
+from sim.contact.obstacles import MESH, Obstacles, Poses, signed_distance
 
 NEAR = 1e-3
 """A vertex this part of the thickness short of contact counts as touching."""
@@ -24,35 +25,6 @@ MOST_ADVANCES = 50
 
 SAME_SIDE = 0.5
 """Least cosine of the normals where a vertex touches and where it goes, for the latter to be used."""
-
-
-class Contacts(NamedTuple):
-    """c contacts, ordered by vertex and then by obstacle.
-
-    Attributes:
-        vertex: (c,).
-        obstacle: (c,).
-        start: (c,) signed distance at the start of the step [m].
-        normal: (c, 3) away from the obstacle, at the end of the step.
-        offset: (c,) n·x − offset is the gap at the end of the step, and never more than the signed distance
-            [m].
-        speed: (c, 3) velocity of the obstacle's surface at the contact [m/s].
-    """
-
-    vertex: np.ndarray
-    obstacle: np.ndarray
-    start: np.ndarray
-    normal: np.ndarray
-    offset: np.ndarray
-    speed: np.ndarray
-
-    def planes(self) -> np.ndarray:
-        """(c, 4) normal and offset, as the gap coordinate remembers them."""
-        return np.concatenate([self.normal, self.offset[:, None]], axis=1)
-
-
-_NONE, _NOWHERE = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-NO_CONTACTS = Contacts(_NONE, _NONE, np.zeros(0), _NOWHERE, np.zeros(0), _NOWHERE)
 
 
 def detect(
@@ -70,21 +42,21 @@ def detect(
 
     Obstacles move from the poses `before` to those `after` in the time `h` [s]; fixed vertices touch nothing.
     """
-    room = len(start) * len(obstacles.parts)
-    ids, numbers = np.zeros((2, room), dtype=np.int64), np.zeros((room, 8))
-    count = _sweep(obstacles.shapes, before, after, start, end, free, h, thickness, continuous, ids, numbers)
-    parts = (numbers[:count, columns].copy() for columns in (0, slice(1, 4), 4, slice(5, 8)))
-    return Contacts(ids[0, :count].copy(), ids[1, :count].copy(), *parts)
+    room = make_contacts(len(start) * len(obstacles.parts))
+    count = _sweep(obstacles.shapes, before, after, start, end, free, h, thickness, continuous, room)
+    return room.only(slice(0, count))
 
 
 @kernel
-def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, ids, numbers):
+def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, found):
     count = 0
     for i in range(len(start)):
         if not free[i]:
             continue
         for o in range(len(shapes.kind)):
             kind, size = shapes.kind[o], shapes.size[o]
+            if kind == MESH:
+                continue
             a = into_frame(before.position[o], before.rotation[o], row(start, i))
             b = into_frame(after.position[o], after.rotation[o], row(end, i))
             at_start = signed_distance(kind, size, a)[0]
@@ -99,11 +71,12 @@ def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, id
             was = add(turn(before.rotation[o], c), row(before.position, o))
             now = add(turn(after.rotation[o], c), row(after.position, o))
             speed = scale(1.0 / h, sub(now, was))
-            ids[0, count], ids[1, count] = i, o
-            numbers[count, 0] = at_start
-            numbers[count, 1], numbers[count, 2], numbers[count, 3] = normal.x, normal.y, normal.z
-            numbers[count, 4] = dot(normal, now) - distance
-            numbers[count, 5], numbers[count, 6], numbers[count, 7] = speed.x, speed.y, speed.z
+            found.key[count] = i * len(shapes.kind) + o
+            found.node[count, 0], found.weight[count, 0] = i, 1.0
+            found.start[count], found.thickness[count] = at_start, thickness
+            put(found.normal, count, normal)
+            found.offset[count] = dot(normal, now) - distance
+            put(found.speed, count, speed)
             count += 1
     return count
 
@@ -157,5 +130,7 @@ def deepest(shapes, poses, positions, depths):
     for i in range(len(positions)):
         depths[i] = 0.0
         for o in range(len(shapes.kind)):
+            if shapes.kind[o] == MESH:
+                continue
             local = into_frame(poses.position[o], poses.rotation[o], row(positions, i))
             depths[i] = max(depths[i], -signed_distance(shapes.kind[o], shapes.size[o], local)[0])

@@ -1,14 +1,14 @@
 """Coulomb friction, |Jt| ≤ μ Jn.
 
 The implicit solve must feel friction, or cloth would never hang on what holds it. It feels the drag d = μ λ
-/ slip with the normal force λ and the slip that are expected; where that turns out to hold a vertex by more
-than the cone allows, both are estimated anew and the solve goes on from where it was. A drag never adds
-energy, whatever its size. What the cone still allows after the solve slows each vertex by itself.
+/ slip with the normal force λ and the slip that are expected; where that turns out to hold two sides together
+by more than the cone allows, both are estimated anew and the solve goes on from where it was. A drag never
+adds energy, whatever its size. What the cone still allows after the solve slows each contact by itself.
 """
 
 import numpy as np
 
-from sim.compiled import add, corner, dot, inner, kernel, norm, row, scale, sub
+from sim.compiled import Vec3, add, dot, inner, kernel, norm, row, scale, sub
 
 CREEP = 1e-4
 """Smallest slip [m/s] that a drag is estimated with; what creeps no faster is stopped after the solve."""
@@ -18,69 +18,83 @@ EXCESS = 1.001
 
 
 @kernel
-def add_drag(springs, drag, velocities, h, matrix, forces):
-    """Add the force −d (I − nnᵀ)(v − speed), d from `drag` (c,), and its part h d (I − nnᵀ) of the matrix."""
-    for c in range(len(drag)):
-        i = springs.elements.nodes[c, 0]
-        n = corner(springs.elements.gradient, c, 0)
-        slip = _slip(springs, velocities, c)
-        for r in range(3):
-            forces[i, r] -= drag[c] * slip[r]
-            matrix.diagonal[i, r, r] += h * drag[c]
-            for s in range(3):
-                matrix.diagonal[i, r, s] -= h * drag[c] * n[r] * n[s]
-
-
-@kernel
-def expected_drag(springs, pieces, piece_masses, velocities, pushes, friction, h, drag):
+def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes, friction, h, drag):
     """Fill the `drag` to expect after a solve that ended at `velocities`; return the worst excess.
 
-    The slip expected of a vertex is that of the solve, or more where its whole piece is about to break
-    away: the piece then gains what friction held it by beyond the cones, over its mass.
+    The slip expected is that of the solve, or more where a whole piece is about to break away: the piece then
+    gains what friction held it by beyond the cones, over its mass.
     """
     worst = 0.0
     gain = np.zeros((len(piece_masses), 3))
     for c in range(len(drag)):
-        i = springs.elements.nodes[c, 0]
-        slip = _slip(springs, velocities, c)
+        slip = slip_of(contacts, velocities, c)
         found = norm(slip)
-        held = h * springs.drag[c] * found
+        held = h * held_drag[c] * found
         if held > friction * pushes[c] or found > CREEP:
             worst = max(worst, held / max(friction * pushes[c], 1e-300))
-            for r in range(3):
-                gain[pieces[i], r] += (
-                    (held - friction * pushes[c]) * slip[r] / (found * piece_masses[pieces[i]])
-                )
+            for a in range(4):
+                piece = pieces[contacts.node[c, a]]
+                part = contacts.weight[c, a] / (found * piece_masses[piece])
+                gain[piece, 0] += part * (held - friction * pushes[c]) * slip.x
+                gain[piece, 1] += part * (held - friction * pushes[c]) * slip.y
+                gain[piece, 2] += part * (held - friction * pushes[c]) * slip.z
     for c in range(len(drag)):
-        slip = _slip(springs, velocities, c)
-        ahead = norm(add(slip, row(gain, pieces[springs.elements.nodes[c, 0]])))
-        drag[c] = friction * pushes[c] / h / max(norm(slip), ahead, CREEP)
+        slip = slip_of(contacts, velocities, c)
+        ahead = slip
+        for a in range(4):
+            ahead = add(ahead, scale(contacts.weight[c, a], row(gain, pieces[contacts.node[c, a]])))
+        drag[c] = friction * pushes[c] / h / max(norm(slip), norm(ahead), CREEP)
     return worst
 
 
 @inner
-def _slip(springs, velocities, c):
-    """Velocity of contact c's vertex across the normal, relative to the obstacle."""
-    passing = sub(row(velocities, springs.elements.nodes[c, 0]), row(springs.speed, c))
-    return across(corner(springs.elements.gradient, c, 0), passing)
+def passing_of(contacts, velocities, c):
+    """Velocity [m/s] of one side of contact c relative to the other."""
+    u, v, w = -contacts.speed[c, 0], -contacts.speed[c, 1], -contacts.speed[c, 2]
+    for a in range(4):
+        i, s = contacts.node[c, a], contacts.weight[c, a]
+        u += s * velocities[i, 0]
+        v += s * velocities[i, 1]
+        w += s * velocities[i, 2]
+    return Vec3(u, v, w)
 
 
 @inner
-def across(n, a):
-    """The part of `a` across the unit vector n."""
-    return sub(a, scale(dot(n, a), n))
+def slip_of(contacts, velocities, c):
+    """Velocity [m/s] of one side of contact c past the other, across the normal."""
+    passing, n = passing_of(contacts, velocities, c), row(contacts.normal, c)
+    return sub(passing, scale(dot(n, passing), n))
 
 
 @kernel
-def rub(contacts, friction, masses, h, positions, velocities, impulses, drag):
-    """Slow each sliding vertex by what the cone of `impulses` (c,) [N s] leaves over the solve's `drag`."""
-    for c in range(len(contacts.vertex)):
-        i = contacts.vertex[c]
-        slip = across(row(contacts.normal, c), sub(row(velocities, i), row(contacts.speed, c)))
+def rub(contacts, friction, masses, inverse_masses, h, positions, velocities, impulses, drag):
+    """Slow each sliding contact by what the cone of `impulses` (c,) [N s] leaves over the solve's `drag`.
+
+    `masses` (c,) are those that the contacts move, infinite where they move nothing.
+    """
+    for c in range(len(impulses)):
+        slip = slip_of(contacts, velocities, c)
         speed = norm(slip)
         over = friction * impulses[c] - h * drag[c] * speed
-        if speed > 0.0 and over > 0.0:
-            loss = scale(min(over / (masses[i] * speed), 1.0), slip)
-            for r in range(3):
-                velocities[i, r] -= loss[r]
-                positions[i, r] -= h * loss[r]
+        if speed > 0.0 and over > 0.0 and masses[c] < np.inf:
+            shove = scale(-min(over / speed, masses[c]), slip)
+            give(contacts, c, inverse_masses, shove, h, positions, velocities)
+
+
+@inner
+def give(contacts, c, inverse_masses, impulse, h, positions, velocities):
+    """Let the two sides of contact c part by `impulse` [N s]; positions follow the velocities for h [s]."""
+    shift(contacts, c, inverse_masses, impulse, velocities)
+    shift(contacts, c, inverse_masses, scale(h, impulse), positions)
+
+
+@inner
+def shift(contacts, c, inverse_masses, impulse, vectors):
+    """Add to each vertex of contact c its share of `impulse` over its mass."""
+    for a in range(4):
+        i = contacts.node[c, a]
+        s = contacts.weight[c, a] * inverse_masses[i]
+        if s != 0.0:
+            vectors[i, 0] += s * impulse.x
+            vectors[i, 1] += s * impulse.y
+            vectors[i, 2] += s * impulse.z

@@ -1,8 +1,7 @@
-"""The contact coordinate: q is the gap between a vertex and the plane that an obstacle shows it.
+"""Gap springs: the contacts that the implicit solve feels.
 
-A contact is an element like a spring, q(x) = n·x − offset with gradient n, so that force, damping, matrix
-and energy are those of `sim.elements`. Its memory holds the plane: n, then the offset, both at the end of
-the step.
+A contact is an element like a spring, q(x) = Σ w_i n·x_i − offset with gradient w_i n, so that tension,
+damping and energy are those of `sim.elements`. Its drag across the normal is that of friction.
 """
 
 from __future__ import annotations
@@ -11,88 +10,75 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiled import kernel
-from sim.contact.detect import Contacts
-from sim.contact.friction import CREEP, EXCESS, add_drag, expected_drag
+from sim.compiled import dot, inner, kernel, row
+from sim.contact.contacts import NO_CONTACTS, Contacts, along
+from sim.contact.friction import CREEP, EXCESS, expected_drag, slip_of
 from sim.contact.response import Response, lacks, targets
 from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
 from sim.settings import Settings
-from sim.solve.system import Matrix, add_single_node
-
-
-@kernel
-def coordinate(positions, nodes, memory, q, gradient, new_memory):
-    """Fill q = n·x − offset [m] and its gradient n."""
-    for e in range(len(nodes)):
-        i = nodes[e, 0]
-        q[e] = -memory[e, 3]
-        for r in range(3):
-            q[e] += memory[e, r] * positions[i, r]
-            gradient[e, 0, r] = memory[e, r]
-        for m in range(4):
-            new_memory[e, m] = memory[e, m]
+from sim.solve.coupling import Coupling, build_coupling, uncoupled
+from sim.solve.system import Matrix
 
 
 class GapSprings(NamedTuple):
-    """The contacts that the implicit solve feels.
+    """Contacts and their springs.
 
     Attributes:
-        elements: Gap coordinates, one node each.
-        obstacle: (c,) the obstacle of each.
-        speed: (c, 3) velocity of the obstacle's surface [m/s].
+        contacts: That the solve feels; those with obstacles come last.
+        pairs: How many of them are between vertices of the cloth.
+        elements: Their gaps as coordinates.
         drag: (c,) d, the friction force per slip [N s/m].
     """
 
+    contacts: Contacts
+    pairs: int
     elements: Elements
-    obstacle: np.ndarray
-    speed: np.ndarray
     drag: np.ndarray
-
-    @property
-    def vertex(self) -> np.ndarray:
-        """(c,) the vertex of each."""
-        return self.elements.nodes[:, 0]
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate the gaps at `positions` (n, 3) [m]."""
-        e = self.elements
-        coordinate(positions, e.nodes, e.memory, e.q, e.gradient, e.new_memory)
+        set_gaps(self.contacts, positions, self.elements.q)
 
     def linearise(
         self, positions: np.ndarray, velocities: np.ndarray, h: float, matrix: Matrix, forces: np.ndarray
-    ):
-        """Add the gap springs at `positions` and `velocities` to `matrix` and `forces`."""
+    ) -> Coupling:
+        """Add the gap springs at `positions` and `velocities` to `matrix` and `forces`.
+
+        Returns:
+            What couples the vertices that touch each other.
+        """
         if not len(self.drag):
-            return
+            return uncoupled(len(positions))
         self.measure(positions)
         set_tension(self.elements, velocities)
         set_matrix_factors(self.elements, h, NONE)
-        add_single_node(self.elements, matrix, forces)
-        add_drag(self, self.drag, velocities, h, matrix, forces)
+        self.elements.tensor[:] = 0.0
+        add_push(self.contacts, self.elements, matrix.diagonal, forces)
+        add_drag(self.contacts, self.elements, self.drag, velocities, h, matrix.diagonal, forces)
+        pairs = self.contacts.node[: self.pairs], self.contacts.weight[: self.pairs]
+        return build_coupling(len(positions), *pairs, self.elements.tensor[: self.pairs])
 
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.
 
-        Returns whether some vertex is held by more than its cone allows, with the model's matrix and
+        Returns whether some contact is held by more than its cone allows, with the model's matrix and
         `forces` changed to the new drag, so that the solve should go on.
         """
         if not len(self.drag):
             return False
         drag, pushes = np.zeros_like(self.drag), self.pushes(positions, velocities, h)
-        if (
-            expected_drag(self, model.mesh.pieces, model.piece_masses, velocities, pushes, friction, h, drag)
-            <= EXCESS
-        ):
+        pieces = model.mesh.pieces, model.piece_masses
+        found = velocities, pushes, friction, h, drag
+        if expected_drag(self.contacts, self.drag, *pieces, *found) <= EXCESS:
             return False
-        add_drag(self, drag - self.drag, start, h, model.matrix, forces)
+        add_drag(self.contacts, self.elements, drag - self.drag, start, h, model.matrix.diagonal, forces)
         self.drag[:] = drag
         return True
 
     def slip(self, velocities: np.ndarray) -> np.ndarray:
         """(c,) speed across each contact [m/s]."""
-        passing = velocities[self.vertex] - self.speed
-        normal = self.elements.gradient[:, 0]
-        return np.linalg.norm(passing - _along(normal, passing)[:, None] * normal, axis=1)
+        passing, n = self.contacts.passing(velocities), self.contacts.normal
+        return np.linalg.norm(passing - along(n, passing)[:, None] * n, axis=1)
 
     def energy(self, positions: np.ndarray) -> float:
         """Energy [J] stored at `positions` in the gap springs that push; none of them can pull."""
@@ -104,14 +90,13 @@ class GapSprings(NamedTuple):
         """(n, 3) forces [N] of the gap springs that push at `positions`, without friction."""
         forces = np.zeros_like(positions)
         if len(self.drag):
-            self.measure(positions)
-            set_tension(self.elements, velocities)
-            push = np.maximum(-self.elements.tension, 0.0)[:, None] * self.elements.gradient[:, 0]
-            np.add.at(forces, self.vertex, push)
+            push = np.maximum(-self._tension(positions, velocities), 0.0)
+            shares = push[:, None, None] * self.elements.gradient
+            np.add.at(forces, self.contacts.node.ravel(), shares.reshape(-1, 3))
         return forces
 
     def release(self, positions: np.ndarray, slack: float) -> None:
-        """Let go, for the rest of the step, of vertices farther than `slack` [m] off their target."""
+        """Let go, for the rest of the step, of contacts more than `slack` [m] off their target."""
         self.measure(positions)
         held = self.elements.q <= self.elements.rest + slack
         for strength in (self.elements.stiffness, self.elements.damping, self.drag):
@@ -119,21 +104,23 @@ class GapSprings(NamedTuple):
 
     def pushes(self, positions: np.ndarray, velocities: np.ndarray, h: float) -> np.ndarray:
         """(c,) normal impulse of each gap spring over a step that ends so [N s]."""
+        return h * np.maximum(-self._tension(positions, velocities), 0.0)
+
+    def _tension(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         self.measure(positions)
         set_tension(self.elements, velocities)
-        return h * np.maximum(-self.elements.tension, 0.0)
+        return self.elements.tension
 
 
-NO_GAP_SPRINGS = GapSprings(
-    make_elements(np.zeros((0, 1)), 4), np.zeros(0, dtype=np.int32), np.zeros((0, 3)), np.zeros(0)
-)
+NO_GAP_SPRINGS = GapSprings(NO_CONTACTS, 0, make_elements(np.zeros((0, 4)), 0), np.zeros(0))
 """What a step without contacts feels."""
 
 
 def gap_springs(
     response: Response | None,
     contacts: Contacts,
-    masses: np.ndarray,
+    pairs: int,
+    inverse_masses: np.ndarray,
     predicted: np.ndarray,
     velocities: np.ndarray,
     pressed: np.ndarray,
@@ -144,35 +131,90 @@ def gap_springs(
 
     Args:
         response: Which response; none has no springs.
-        contacts: What detection found.
-        masses: (n,) [kg].
+        contacts: What detection found, those between vertices first.
+        pairs: How many of them are between vertices.
+        inverse_masses: (n,) [1/kg].
         predicted: (n, 3) where vertices would go without springs and contacts [m].
         velocities: (n, 3) at the start of the step [m/s].
         pressed: (c,) normal impulse of each contact in the step before [N s].
         slip: (c,) slip expected after that step, zero for a new contact [m/s].
-        settings: dt, thickness and friction are read.
+        settings: dt and friction are read.
     """
-    if response is None or not len(contacts.vertex):
+    if response is None or not len(contacts.key):
         return NO_GAP_SPRINGS
-    h = settings.dt
-    target = targets(response, contacts, settings.thickness, h)
-    lack = lacks(response, contacts, predicted, settings.thickness, h)
-    kept = np.flatnonzero((lack > 0.0) | (pressed > 0.0))
-    normal, speed, mass = contacts.normal[kept], contacts.speed[kept], masses[contacts.vertex[kept]]
-    elements = make_elements(contacts.vertex[kept, None], 4)
-    elements.memory[:] = contacts.planes()[kept]
+    h, mass = settings.dt, contacts.masses(inverse_masses)
+    lack = lacks(response, contacts, predicted, h)
+    kept = np.flatnonzero(((lack > 0.0) | (pressed > 0.0)) & (mass < np.inf))
+    contacts, mass, lack, pressed, slip = (
+        contacts.only(kept),
+        mass[kept],
+        lack[kept],
+        pressed[kept],
+        slip[kept],
+    )
+    elements = make_elements(contacts.node, 0)
+    elements.gradient[:] = contacts.weight[:, :, None] * contacts.normal[:, None]
     elements.stiffness[:] = response.stiffness * mass / h**2
-    elements.rest[:] = target[kept]
-    elements.drift[:] = _along(normal, speed)
-    passing = velocities[contacts.vertex[kept]] - speed
-    closing = _along(normal, passing)
+    elements.rest[:] = targets(response, contacts, h)
+    elements.drift[:] = along(contacts.normal, contacts.speed)
+    passing = contacts.passing(velocities)
+    closing = along(contacts.normal, passing)
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
     elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
-    sliding = np.linalg.norm(passing - closing[:, None] * normal, axis=1)
-    force = np.maximum(pressed[kept] / h, mass * np.maximum(lack[kept], 0.0) / h**2)
-    drag = settings.friction * force / np.maximum(np.maximum(sliding, slip[kept]), CREEP)
-    return GapSprings(elements, contacts.obstacle[kept], speed, drag)
+    sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
+    force = np.maximum(pressed / h, mass * np.maximum(lack, 0.0) / h**2)
+    drag = settings.friction * force / np.maximum(np.maximum(sliding, slip), CREEP)
+    return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag)
 
 
-def _along(normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,ij->i", normals, vectors)
+@kernel
+def set_gaps(contacts, positions, q):
+    """Fill q = Σ w n·x − offset [m]."""
+    for c in range(len(q)):
+        q[c] = -contacts.offset[c]
+        n = row(contacts.normal, c)
+        for a in range(4):
+            if contacts.weight[c, a] != 0.0:
+                q[c] += contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
+
+
+@kernel
+def add_push(contacts, elements, diagonal, forces):
+    """Add the springs along the normals to the forces, the diagonal and their own tensors."""
+    for c in range(len(elements.q)):
+        n, along = contacts.normal[c], elements.along[c]
+        _add_tensor(elements.tensor[c], along, n, 0.0)
+        for a in range(4):
+            i, w = contacts.node[c, a], contacts.weight[c, a]
+            if w != 0.0:
+                for r in range(3):
+                    forces[i, r] -= elements.tension[c] * w * n[r]
+                    for s in range(3):
+                        diagonal[i, r, s] += w * w * along * n[r] * n[s]
+
+
+@kernel
+def add_drag(contacts, elements, drag, velocities, h, diagonal, forces):
+    """Add the force −d (I − nnᵀ)(passing velocity), d from `drag` (c,), and its part h d (I − nnᵀ)."""
+    for c in range(len(drag)):
+        n, slip, across = contacts.normal[c], slip_of(contacts, velocities, c), h * drag[c]
+        _add_tensor(elements.tensor[c], -across, n, across)
+        for a in range(4):
+            i, w = contacts.node[c, a], contacts.weight[c, a]
+            if w != 0.0:
+                for r in range(3):
+                    forces[i, r] -= drag[c] * w * slip[r]
+                    diagonal[i, r, r] += w * w * across
+                    for s in range(3):
+                        diagonal[i, r, s] -= w * w * across * n[r] * n[s]
+
+
+@inner
+def _add_tensor(tensor, along, n, alike):
+    """Add along nnᵀ + alike I to a symmetric tensor of six numbers."""
+    tensor[0] += along * n[0] * n[0] + alike
+    tensor[1] += along * n[0] * n[1]
+    tensor[2] += along * n[0] * n[2]
+    tensor[3] += along * n[1] * n[1] + alike
+    tensor[4] += along * n[1] * n[2]
+    tensor[5] += along * n[2] * n[2] + alike

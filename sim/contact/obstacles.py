@@ -16,7 +16,7 @@ from sim.compiled import Vec3, dot, inner, norm, scale
 from sim.placement import pose
 from sim.scene import Box, Obstacle, Plane, Scene, Sphere
 
-SPHERE, PLANE, BOX, CAPSULE = range(4)
+SPHERE, PLANE, BOX, CAPSULE, MESH = range(5)
 
 
 class Shapes(NamedTuple):
@@ -37,8 +37,22 @@ class Poses(NamedTuple):
     rotation: np.ndarray
 
 
+class Solid(NamedTuple):
+    """The surfaces of mesh obstacles: vertices (k, 3) [m], triangles (m, 3) and edges (e, 2)."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    edges: np.ndarray
+
+
 class Obstacles:
-    """The obstacles of a scene as arrays, at any time."""
+    """The obstacles of a scene as arrays, at any time.
+
+    Attributes:
+        parts: Of the scene.
+        shapes: Of all of them.
+        solid: The surfaces of those that are meshes, in their own frames.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.parts = scene.obstacle
@@ -47,6 +61,16 @@ class Obstacles:
             np.array([kind for kind, _ in described], dtype=np.int64),
             np.array([size for _, size in described], dtype=float).reshape(-1, 3),
         )
+
+        self.solid = Solid(
+            np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+        )
+        self._part = np.zeros(0, dtype=np.int64)
+
+    def corners(self, poses: Poses) -> np.ndarray:
+        """(k, 3) where the vertices of mesh obstacles are in these poses [m]."""
+        turned = np.einsum("ijk,ik->ij", poses.rotation[self._part], self.solid.vertices)
+        return poses.position[self._part] + turned
 
     def poses(self, time: float) -> Poses:
         """Where every obstacle is at `time` [s]."""

@@ -1,17 +1,27 @@
-"""The way of a step through contact: detect, feel contacts in the solve, detect again, respond."""
+"""The way of a step through contact: detect, feel contacts in the solve, detect again, respond.
+
+With impulses and continuous detection the step ends as it began, free of intersections. That rests on four
+things: detection misses nothing, on a list of pairs that holds for every place a vertex has been at; pairs
+that start nearer than the usual gap have a smaller one of their own; after every change of positions pairs
+are detected anew; and where impulses do not find a way, the step is done in halves, and at last vertices go
+no farther than they can without meeting anything.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec.structs import replace as replaced
 
-from sim.contact.detect import NO_CONTACTS, Contacts, deepest, detect
+from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
+from sim.contact.detect import deepest, detect
 from sim.contact.friction import rub
-from sim.contact.gap import GapSprings, gap_springs
+from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
-from sim.contact.response import RESPONSES, Response, lacks, push_out, targets
+from sim.contact.pairs import Pairs
+from sim.contact.response import RESPONSES, Response, lacks, project, push_apart, targets
 from sim.integrators import INTEGRATORS
 from sim.model import Model
 from sim.report import StepReport
@@ -22,28 +32,47 @@ from sim.solve.implicit import Solution
 MOST_SOLVES = 3
 """Solves of one step at most: one more where a solve led vertices into contacts that it did not feel."""
 
-Solve = Callable[[GapSprings], Solution]
+MOST_ROUNDS = 8
+"""Rounds of impulses and continuous detection before a step is done in halves."""
+
+MOST_HALVINGS = 5
+"""Times that a step is halved before vertices are held back."""
+
+Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray], Solution]
+
+
+@dataclass
+class _Way:
+    """What one step, or one part of it, has to go on, and what it has found so far."""
+
+    settings: Settings
+    before: Poses
+    after: Poses
+    x: np.ndarray
+    v: np.ndarray
+    solve: Solve
+    report: StepReport
 
 
 class Pipeline:
-    """Contact between a scene's cloth and obstacles.
+    """Contact of a scene's cloth with obstacles and with itself.
 
     Attributes:
         obstacles: Of the scene.
-        pressed: (n, o) normal impulse of each vertex and obstacle in the last step [N s].
-        slip: (n, o) speed at which they passed each other after it [m/s].
+        touched: What the contacts of the last step remember.
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
         self.obstacles = Obstacles(scene)
-        self.any = bool(scene.obstacle)
         self._model = model
-        self._shape = len(model.masses), len(scene.obstacle)
+        self._pairs: Pairs | None = None
         self.forget()
 
     def forget(self) -> None:
         """Start with nothing touched."""
-        self.pressed, self.slip = np.zeros(self._shape), np.zeros(self._shape)
+        self.touched = UNTOUCHED
+        if self._pairs is not None:
+            self._pairs.forget()
 
     def through(
         self,
@@ -53,37 +82,18 @@ class Pipeline:
         v: np.ndarray,
         solve: Solve,
         report: StepReport,
-    ) -> tuple[Solution, tuple[np.ndarray, np.ndarray]]:
+    ) -> tuple[Solution, Touch]:
         """Take one step from (`x`, `v`) at `time` with `solve`, which feels the contacts that it is given.
 
-        Contacts are looked for on the way that vertices would take by themselves; then on the way that they
-        took, and the step solved again where that led into some.
-
         Returns:
-            The end of the step, and what `pressed` and `slip` are after it.
+            The end of the step, and what its contacts remember.
         """
-        h, free = settings.dt, self._model.free[:, None]
-        before, after = self.obstacles.poses(time), self.obstacles.poses(time + h)
         response = self._response(settings)
-        end = x + h * (v + h * np.asarray(settings.gravity) * free)
-        solves = 0
-        while True:
-            with report.phase("detect"):
-                found = self._detect(response, settings, before, after, x, end)
-                springs = self._gap_springs(response, settings, found, end, v)
-            with report.phase("solve"):
-                solution = solve(springs)
-            with report.phase("detect"):
-                contacts = self._detect(response, settings, before, after, x, solution.positions)
-                late = self._late(response, settings, contacts, springs, solution.positions)
-            solves, report.iterations = solves + 1, report.iterations + solution.iterations
-            if not len(late) or solves == MOST_SOLVES:
-                break
-            end[late] = solution.positions[late]
-        report.contacts = max(len(contacts.vertex), len(springs.vertex))  # felt, or found where it led to
-        with report.phase("respond"):
-            touch = self._respond(response, settings, springs, contacts, solution)
-        return solution, touch
+        pairs = self._pairs_for(settings)
+        end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
+        if pairs is not None:
+            pairs.adapt()
+        return end
 
     def depths(self, time: float, positions: np.ndarray) -> np.ndarray:
         """(n,) how far each vertex is inside an obstacle at `time` [m], zero outside."""
@@ -91,33 +101,137 @@ class Pipeline:
         deepest(self.obstacles.shapes, self.obstacles.poses(time), positions, depths)
         return depths
 
+    def _part(
+        self, settings, response, pairs, time, x, v, touched, solve, report, halvings
+    ) -> tuple[Solution, Touch]:
+        """Take a step, or where that leads to a tangle its two halves one after the other."""
+        h = settings.dt
+        poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
+        way = _Way(settings, *poses, x, v, solve, report)
+        found = self._attempt(way, response, pairs, touched, halvings == 0)
+        if found is not None:
+            return found
+        report.substeps += 1
+        half = replaced(settings, dt=0.5 * h)
+        rest = solve, report, halvings - 1
+        first, touched = self._part(half, response, pairs, time, x, v, touched, *rest)
+        second, touched = self._part(
+            half, response, pairs, time + 0.5 * h, first.positions, first.velocities, touched, *rest
+        )
+        return second, touched
+
+    def _attempt(
+        self, way: _Way, response: Response | None, pairs: Pairs | None, touched: Touch, last: bool
+    ) -> tuple[Solution, Touch] | None:
+        """Take a step in one go; None where it would end in a tangle and is not the `last` try.
+
+        Contacts are looked for where vertices are and on the way that they would take by themselves; then on
+        the way that they took, and the step solved again where that led into some.
+        """
+        s, report, h, free = way.settings, way.report, way.settings.dt, self._model.free[:, None]
+        if response is not None and response.projects:
+            return self._projected(way, pairs)
+        end = way.x + h * (way.v + h * np.asarray(s.gravity) * free)
+        with report.phase("detect"):
+            near = self._begin(way, pairs, way.x + h * way.v)
+        solves = 0
+        while True:
+            with report.phase("detect"):
+                found = self._detect(response, way, end)
+                springs = self._gap_springs(response, way, near, found, end, touched)
+            with report.phase("solve"):
+                solution = way.solve(springs, s, way.x, way.v)
+            with report.phase("detect"):
+                contacts = self._detect(response, way, solution.positions)
+                late = self._late(response, way, contacts, springs, solution.positions)
+                hits = NO_CONTACTS
+                if response is not None and not response.impulses:
+                    hits = self._hits(way, pairs, solution.positions)
+                    hits = hits.only(~np.isin(hits.key, near.key))
+            solves, report.iterations = solves + 1, report.iterations + solution.iterations
+            if not (len(late) or len(hits.key)) or solves == MOST_SOLVES:
+                break
+            end[late] = solution.positions[late]
+            node = hits.node[hits.weight != 0.0]
+            end[node] = solution.positions[node]
+            near = near.and_also(hits)
+        with report.phase("respond"):
+            return self._respond(response, pairs, way, springs, near.and_also(contacts), solution, last)
+
+    def _projected(self, way: _Way, pairs: Pairs | None) -> tuple[Solution, Touch]:
+        """Take a step that feels nothing, then put right what it led into."""
+        s, report = way.settings, way.report
+        with report.phase("solve"):
+            solution = way.solve(NO_GAP_SPRINGS, s, way.x, way.v)
+        report.iterations += solution.iterations
+        x, v = solution.positions, solution.velocities
+        if not np.isfinite(x).all():
+            return solution, UNTOUCHED
+        with report.phase("detect"):
+            static = replace(way, before=way.after, x=x)
+            hits = NO_CONTACTS
+            if s.detection == "continuous":
+                self._begin(way, pairs, x)
+                hits = self._hits(way, pairs, x)
+            near = self._begin(static, pairs, x)
+            touching = self._detect(RESPONSES[s.contact], way if s.detection == "continuous" else static, x)
+            contacts = hits.and_also(near).and_also(touching)
+        report.contacts = len(contacts.key)
+        with report.phase("respond"):
+            inverse_masses = self._model.inverse_masses
+            project(contacts, s.friction, contacts.masses(inverse_masses), inverse_masses, x, v)
+        return solution, UNTOUCHED
+
+    def _pairs_for(self, s: Settings) -> Pairs | None:
+        """The pairs that may touch, where settings and scene ask for them."""
+        mesh, own = self._model.mesh, s.self_collision != "off" and len(self._model.mesh.edges) > 0
+        if s.contact == "none" or not (own or len(self.obstacles.solid.vertices)):
+            return None
+        if self._pairs is None or self._pairs.own != own:
+            first_key = len(mesh.vertices) * max(len(self.obstacles.parts), 1)
+            self._pairs = Pairs(mesh, self._model.free, self.obstacles.solid, own, first_key)
+        return self._pairs
+
     def _response(self, settings: Settings) -> Response | None:
         """How cloth answers; forces that are not solved for must be soft enough for an explicit step."""
-        response = RESPONSES.get(settings.contact) if self.any else None
-        if response is None or INTEGRATORS[settings.integrator].implicit:
+        response = RESPONSES.get(settings.contact)
+        if response is None or INTEGRATORS[settings.integrator].implicit or not response.solved:
             return response
         return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), solved=False)
 
-    def _detect(
-        self,
-        response: Response | None,
-        s: Settings,
-        before: Poses,
-        after: Poses,
-        x: np.ndarray,
-        end: np.ndarray,
-    ) -> Contacts:
-        if response is None:
+    def _begin(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
+        """Pairs that are nearer than the thickness at the start of a step to about `end`."""
+        if pairs is None:
             return NO_CONTACTS
-        way = x, end, self._model.free, s.dt
-        return detect(self.obstacles, before, after, *way, s.thickness, s.detection == "continuous")
+        corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
+        return pairs.begin(way.x, end, *corners, way.settings.dt, way.settings.thickness)
+
+    def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
+        """Pairs that meet on the way to `end`."""
+        if pairs is None or way.settings.detection == "static":
+            return NO_CONTACTS
+        return pairs.hits(end)
+
+    def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
+        """Contacts with obstacles on the way to `end`."""
+        if response is None or not self.obstacles.parts:
+            return NO_CONTACTS
+        s = way.settings
+        path = way.x, end, self._model.free, s.dt
+        return detect(self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous")
 
     def _gap_springs(
-        self, response: Response | None, s: Settings, contacts: Contacts, end: np.ndarray, v: np.ndarray
+        self,
+        response: Response | None,
+        way: _Way,
+        near: Contacts,
+        found: Contacts,
+        end: np.ndarray,
+        touched: Touch,
     ) -> GapSprings:
-        pairs = (contacts.vertex, contacts.obstacle)
-        state = end, v, self.pressed[pairs], self.slip[pairs]
-        springs = gap_springs(response, contacts, self._model.masses, *state, s)
+        contacts = near.and_also(found)
+        state = self._model.inverse_masses, end, way.v, *touched.of(contacts.key)
+        springs = gap_springs(response, contacts, len(near.key), *state, way.settings)
         if response is not None and not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
         return springs
@@ -125,7 +239,7 @@ class Pipeline:
     def _late(
         self,
         response: Response | None,
-        s: Settings,
+        way: _Way,
         contacts: Contacts,
         springs: GapSprings,
         end: np.ndarray,
@@ -133,38 +247,102 @@ class Pipeline:
         """Vertices that an impulse would have to push, as the solve did not feel a contact that it led to."""
         if response is None or not (response.impulses and response.solved):
             return np.zeros(0, dtype=np.int64)
-        felt = np.zeros(self.pressed.shape, dtype=bool)
-        felt[springs.vertex, springs.obstacle] = True
-        near = lacks(response, contacts, end, s.thickness, s.dt) > s.tolerance
-        return contacts.vertex[near & ~felt[contacts.vertex, contacts.obstacle]]
+        felt = np.isin(contacts.key, springs.contacts.key)
+        near = lacks(response, contacts, end, way.settings.dt) > way.settings.tolerance
+        return contacts.node[near & ~felt, 0]
 
     def _respond(
         self,
         response: Response | None,
-        s: Settings,
+        pairs: Pairs | None,
+        way: _Way,
         springs: GapSprings,
         contacts: Contacts,
         solution: Solution,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Impulses and friction after the solve; returns normal impulses [N s] and slip [m/s], (n, o)."""
-        h, masses = s.dt, self._model.masses
-        pressed, slip, drag = (np.zeros_like(self.pressed) for _ in range(3))
+        last: bool,
+    ) -> tuple[Solution, Touch] | None:
+        """Impulses and friction after the solve."""
+        s, h, report = way.settings, way.settings.dt, way.report
+        report.contacts = max(len(contacts.key), len(springs.contacts.key))
         if response is None:
-            return pressed, slip
-        x, v = solution.positions, solution.velocities
-        solved = springs.vertex, springs.obstacle
+            return solution, UNTOUCHED
+        x, v, inverse_masses = solution.positions, solution.velocities, self._model.inverse_masses
         if response.solved:
-            pressed[solved] = springs.pushes(x, v, h)
+            pressed = springs.pushes(x, v, h)
         else:  # it pushed as it did at the start
-            pressed[solved] = h * np.maximum(-springs.elements.tension, 0.0)
-        drag[solved], slip[solved] = springs.drag, springs.slip(v)
-        pairs = contacts.vertex, contacts.obstacle
-        impulses, wanted = pressed[pairs], targets(response, contacts, s.thickness, h)
-        push = contacts, wanted, masses, h, x, v, impulses
+            pressed = h * np.maximum(-springs.elements.tension, 0.0)
+        felt = touch(springs.contacts.key, pressed, springs.drag)
+        slip = touch(springs.contacts.key, pressed, springs.slip(v))
+        impulses, drag = felt.of(contacts.key)
+        masses, given = contacts.masses(inverse_masses), np.zeros(len(impulses))
+        wanted = targets(response, contacts, h)
+        push = masses, inverse_masses, h, x, v
         if response.impulses:
-            push_out(*push)
-        rub(contacts, s.friction, masses, h, x, v, impulses, drag[pairs])
+            push_apart(contacts, wanted, *push, given)
+        rub(contacts, s.friction, *push, impulses + given, drag)
         if response.impulses:
-            push_out(*push)
-        pressed[pairs] = impulses
-        return pressed, slip
+            push_apart(contacts, wanted, *push, given)
+        if not (response.impulses and s.detection == "continuous" and np.isfinite(x).all()):
+            pressed = impulses + given
+        elif (found := self._untangle(response, pairs, way, contacts, given, x, v, last)) is None:
+            return None
+        else:
+            contacts, pressed = found
+            pressed[: len(impulses)] += impulses
+        return solution, touch(contacts.key, pressed, slip.of(contacts.key)[1])
+
+    def _untangle(
+        self,
+        response: Response,
+        pairs: Pairs | None,
+        way: _Way,
+        contacts: Contacts,
+        given: np.ndarray,
+        x: np.ndarray,
+        v: np.ndarray,
+        last: bool,
+    ) -> tuple[Contacts, np.ndarray] | None:
+        """Give pairs that would meet impulses until none does; None where that fails and another try is left.
+
+        Contacts that came before keep their say, as do the impulses that they were `given`.
+
+        Returns:
+            All contacts, and the impulses [N s] that they were given after the solve.
+        """
+        s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
+        for _ in range(MOST_ROUNDS):
+            with report.phase("detect"):
+                hits = self._hits(way, pairs, x)
+                beyond = self._detect(response, way, x)
+                beyond = beyond.only(
+                    ~np.isin(beyond.key, contacts.key) & (lacks(response, beyond, x, h) > s.tolerance)
+                )
+            if not len(hits.key) and not len(beyond.key):
+                return contacts, given
+            report.hits += len(hits.key)
+            known = len(contacts.key)
+            contacts = contacts.and_also(hits).and_also(beyond)
+            given = np.append(given, np.zeros(len(contacts.key) - known))
+            before = given.copy()
+            masses = contacts.masses(inverse_masses)
+            push = masses, inverse_masses, h, x, v
+            push_apart(contacts, targets(response, contacts, h), *push, given)
+            rub(contacts, s.friction, *push, np.maximum(given - before, 0.0), np.zeros_like(given))
+        if not last:
+            return None
+        if pairs is not None:
+            self._hold_back(pairs, way, x)
+        return contacts, given
+
+    def _hold_back(self, pairs: Pairs, way: _Way, x: np.ndarray) -> None:
+        """Let vertices that would still meet something go only as far as nothing can be met; speeds stay."""
+        held = np.zeros(len(x), dtype=bool)
+        while True:
+            with way.report.phase("detect"):
+                hits = self._hits(way, pairs, x)
+            which = np.unique(hits.node[(hits.weight != 0.0) & self._model.free[hits.node]])
+            shortened = pairs.shorten(x, which)
+            held[which] = True
+            if not len(shortened):
+                break
+        way.report.held_back += int(np.count_nonzero(held))

@@ -1,13 +1,14 @@
 """How cloth answers the contacts that detection found.
 
-Every response first makes contacts part of the implicit solve: a gap spring with K = s m / h², so that one
+Most responses first make contacts part of the implicit solve: a gap spring with K = s μ / h², so that one
 step takes back s / (1 + s) of an overlap. What sets them apart:
 
-- penalty: damped while the vertex approaches, and nothing more. Fast or heavy cloth sinks in, and with
-  static detection tunnels; no guarantee.
+- penalty: damped while the gap closes, and nothing more. Fast or heavy cloth sinks in, and with static
+  detection tunnels; no guarantee.
 - impulse: stiffer springs that recover only a tenth of an overlap per step (Bridson, Fedkiw and Anderson
-  2002), then inelastic impulses that leave no free vertex on the wrong side of a plane that detection
-  showed it.
+  2002), then inelastic impulses until continuous detection finds nothing that would meet.
+- postprocess: the step is solved as if nothing were there, then vertices are put where they do not overlap.
+  Cheap; it loses volume, and friction acts on nothing but the speed that it takes away.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.compiled import dot, kernel, row
-from sim.contact.detect import Contacts
+from sim.compiled import dot, kernel, norm, row, scale, sub
+from sim.contact.contacts import Contacts
+from sim.contact.friction import give, passing_of, shift
 
 
 @dataclass(frozen=True)
@@ -25,11 +27,12 @@ class Response:
     """What sets one response apart.
 
     Attributes:
-        stiffness: s in K = s m / h².
+        stiffness: s in K = s μ / h².
         damping: Damping ratio of a gap spring while the gap closes.
         recovery: Part of an overlap that one step aims to take back.
         impulses: Whether impulses end the step.
         solved: Whether a solve feels its gap springs; else they push as they did at the start of the step.
+        projects: Whether nothing is felt, and overlaps are taken out of the positions after the step.
     """
 
     stiffness: float
@@ -37,53 +40,87 @@ class Response:
     recovery: float
     impulses: bool
     solved: bool = True
+    projects: bool = False
 
 
-RESPONSES = {"penalty": Response(10.0, 1.0, 1.0, False), "impulse": Response(100.0, 0.0, 0.1, True)}
+RESPONSES = {
+    "penalty": Response(10.0, 1.0, 1.0, False),
+    "impulse": Response(100.0, 0.0, 0.1, True),
+    "postprocess": Response(0.0, 0.0, 1.0, False, solved=False, projects=True),
+}
 
 RECOVERY_SPEED = 0.2
 """Speed [m/s] at which an overlap is taken back at most: cloth found deep inside rises, and is not thrown."""
 
 MOST_SWEEPS = 20
-"""Gauss–Seidel sweeps over the contacts; only a vertex between several obstacles needs more than one."""
+"""Gauss–Seidel sweeps over the contacts at a time."""
+
+PROJECTIONS = 4
+"""Passes over the contacts that projection makes."""
 
 RESTING = 1e-12
 """A lack of gap [m] that is rounding and asks for no impulse."""
 
 
-def targets(response: Response, contacts: Contacts, thickness: float, h: float) -> np.ndarray:
-    """(c,) gap [m] that each vertex should have after a step of h [s]: an overlap is recovered in part."""
-    overlap = np.maximum(thickness - contacts.start, 0.0)
-    return thickness - overlap + np.minimum(response.recovery * overlap, RECOVERY_SPEED * h)
+def targets(response: Response, contacts: Contacts, h: float) -> np.ndarray:
+    """(c,) gap [m] that each contact should have after a step of h [s]; overlap is recovered in part."""
+    overlap = np.maximum(contacts.thickness - contacts.start, 0.0)
+    return contacts.thickness - overlap + np.minimum(response.recovery * overlap, RECOVERY_SPEED * h)
 
 
-def lacks(
-    response: Response, contacts: Contacts, positions: np.ndarray, thickness: float, h: float
-) -> np.ndarray:
-    """(c,) how far each vertex at `positions` (n, 3) is short of its target [m]; negative where it is not."""
-    gap = np.einsum("ij,ij->i", contacts.normal, positions[contacts.vertex]) - contacts.offset
-    return targets(response, contacts, thickness, h) - gap
+def lacks(response: Response, contacts: Contacts, positions: np.ndarray, h: float) -> np.ndarray:
+    """(c,) how far each contact at `positions` (n, 3) is short of its target [m]; negative if it is not."""
+    return targets(response, contacts, h) - contacts.gaps(positions)
 
 
 @kernel
-def push_out(contacts, targets, masses, h, positions, velocities, impulses):
-    """Give every vertex that is nearer than its target the inelastic impulse that keeps the target.
+def push_apart(contacts, targets, masses, inverse_masses, h, positions, velocities, given):
+    """Projected Gauss–Seidel: give contacts the least inelastic impulses that keep their targets.
 
-    Adds to `impulses` (c,) [N s], and returns the number of vertices still too near after the last sweep.
+    `masses` (c,) are those that the contacts move. Adds to what is `given` (c,) [N s], which is never
+    negative: what a contact gave too much, as others then helped, it takes back. Returns the number of
+    contacts that the last sweep still changed.
     """
-    pushed = 0
+    changed = 0
     for _ in range(MOST_SWEEPS):
-        pushed = 0
-        for c in range(len(contacts.vertex)):
-            i = contacts.vertex[c]
+        changed = 0
+        for c in range(len(given)):
+            if masses[c] == np.inf:
+                continue
             n = row(contacts.normal, c)
-            lack = targets[c] + contacts.offset[c] - dot(n, row(positions, i))
-            if lack > RESTING:
-                pushed += 1
-                impulses[c] += masses[i] * lack / h
-                for r in range(3):
-                    positions[i, r] += lack * contacts.normal[c, r]
-                    velocities[i, r] += lack / h * contacts.normal[c, r]
-        if pushed == 0:
+            lack = targets[c] + contacts.offset[c]
+            for a in range(4):
+                if contacts.weight[c, a] != 0.0:
+                    lack -= contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
+            if lack > RESTING or (lack < -RESTING and given[c] > 0.0):
+                impulse = max(masses[c] * lack / h, -given[c])
+                given[c] += impulse
+                changed += 1
+                give(contacts, c, inverse_masses, scale(impulse, n), h, positions, velocities)
+        if changed == 0:
             break
-    return pushed
+    return changed
+
+
+@kernel
+def project(contacts, friction, masses, inverse_masses, positions, velocities):
+    """Put contacts that are nearer than their thickness at it, and take off the speed at which they close.
+
+    Positions change and velocities do not follow them; the speed taken off brings friction with it.
+    """
+    for _ in range(PROJECTIONS):
+        for c in range(len(masses)):
+            n = row(contacts.normal, c)
+            lack = contacts.thickness[c] + contacts.offset[c]
+            for a in range(4):
+                if contacts.weight[c, a] != 0.0:
+                    lack -= contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
+            if lack > 0.0 and masses[c] < np.inf:
+                shift(contacts, c, inverse_masses, scale(masses[c] * lack, n), positions)
+                passing = passing_of(contacts, velocities, c)
+                closing = dot(n, passing)
+                if closing < 0.0:
+                    slip = sub(passing, scale(closing, n))
+                    part = min(-friction * closing / max(norm(slip), 1e-300), 1.0)
+                    change = sub(scale(-closing, n), scale(part, slip))
+                    shift(contacts, c, inverse_masses, scale(masses[c], change), velocities)

@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from sim.compiled import CHUNKS, inner, kernel, parallel_kernel, share
+from sim.solve.coupling import coupled, move
 from sim.solve.preconditioner import in_order, precondition
 
 WINDOW = 6
@@ -54,9 +55,11 @@ def make_workspace(n: int) -> Workspace:
 
 
 @parallel_kernel
-def multiply(matrix, free, x, y, partial):
-    """Fill y = A x on free vertices and return xᵀ y."""
+def multiply(matrix, coupling, free, x, y, partial):
+    """Fill y = A x on free vertices and return xᵀ y; x must be zero on fixed ones."""
     n = len(x)
+    if len(coupling.node):
+        move(coupling, x)
     for chunk in numba.prange(CHUNKS):
         total = 0.0
         begin, end = share(chunk, n)
@@ -76,6 +79,9 @@ def multiply(matrix, free, x, y, partial):
                 sx += b[p, 0, 0] * q + b[p, 0, 1] * r + b[p, 0, 2] * s
                 sy += b[p, 1, 0] * q + b[p, 1, 1] * r + b[p, 1, 2] * s
                 sz += b[p, 2, 0] * q + b[p, 2, 1] * r + b[p, 2, 2] * s
+            if coupling.first[i] < coupling.first[i + 1]:
+                q, r, s = coupled(coupling, i, u, v, w)
+                sx, sy, sz = sx + q, sy + r, sz + s
             y[i, 0], y[i, 1], y[i, 2] = sx, sy, sz
             total += u * sx + v * sy + w * sz
         partial[chunk] = total
@@ -119,11 +125,12 @@ def _farthest(x, old):
 
 
 @kernel
-def conjugate_gradients(matrix, preconditioner, work, r, x, shortcut, tolerance, most):
+def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, tolerance, most):
     """Solve A x = b on free vertices.
 
     Args:
         matrix: A, symmetric positive definite.
+        coupling: And what contacts add to it.
         preconditioner: P⁻¹, refreshed for A; says which vertices are free.
         work: Room for the vectors.
         r: (n, 3) the right-hand side b, overwritten by the residual b − A x.
@@ -137,11 +144,11 @@ def conjugate_gradients(matrix, preconditioner, work, r, x, shortcut, tolerance,
     """
     free, partial, largest = preconditioner.local.free, work.partial, work.largest
     z, p, ap, old = work.z, work.p, work.ap, work.old
-    multiply(matrix, free, x, ap, partial)
+    multiply(matrix, coupling, free, x, ap, partial)
     for i in range(len(r)):
         for c in range(3):
             r[i, c] = r[i, c] - ap[i, c] if free[i] else 0.0
-    curvature = multiply(matrix, free, shortcut, ap, partial)
+    curvature = multiply(matrix, coupling, free, shortcut, ap, partial)
     along = 0.0
     for i in range(len(r)):
         for c in range(3):
@@ -160,7 +167,7 @@ def conjugate_gradients(matrix, preconditioner, work, r, x, shortcut, tolerance,
             return k, estimate, BROKEN
         if k > 0 and CERTAINTY * math.sqrt(residual) <= tolerance:  # small errors add up over steps
             return k, CERTAINTY * math.sqrt(residual), CONVERGED
-        curvature = multiply(matrix, free, p, ap, partial)
+        curvature = multiply(matrix, coupling, free, p, ap, partial)
         if not curvature > 0.0:
             return k, estimate, BROKEN
         alpha = rz / curvature

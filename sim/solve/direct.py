@@ -12,14 +12,15 @@ import threading
 from typing import Any
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array, csr_matrix, triu
+from scipy.sparse import bsr_array, coo_array, csc_array, csr_array, csr_matrix, triu
 from scipy.sparse.linalg import splu
 
+from sim.solve.coupling import Coupling
 from sim.solve.system import Matrix
 
 
-def as_sparse(matrix: Matrix) -> csr_array:
-    """The whole matrix, (3 n, 3 n)."""
+def as_sparse(matrix: Matrix, coupling: Coupling) -> csr_array:
+    """The whole matrix, (3 n, 3 n), with what contacts couple."""
     n = len(matrix.diagonal)
     first = matrix.first.astype(np.int64) + np.arange(n + 1)
     blocks, column = np.empty((first[-1], 3, 3)), np.empty(first[-1], dtype=np.int32)
@@ -27,10 +28,25 @@ def as_sparse(matrix: Matrix) -> csr_array:
     own[first[:-1]] = True
     blocks[own], column[own] = matrix.diagonal, np.arange(n)
     blocks[~own], column[~own] = matrix.block, matrix.column
-    return csr_array(bsr_array((blocks, column, first), shape=(3 * n, 3 * n)))
+    return csr_array(bsr_array((blocks, column, first), shape=(3 * n, 3 * n))) + _of_contacts(coupling, n)
 
 
-def solve_directly(matrix: Matrix, free: np.ndarray, b: np.ndarray, x: np.ndarray) -> tuple[float, bool]:
+def _of_contacts(coupling: Coupling, n: int) -> csr_array:
+    """What contacts add off the diagonal."""
+    a, b = np.nonzero(~np.eye(4, dtype=bool))
+    node, weight = coupling.node, coupling.weight
+    full = coupling.tensor[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    entries = (weight[:, a] * weight[:, b])[:, :, None, None] * full[:, None]
+    axis = np.arange(3)
+    rows = np.broadcast_to(3 * node[:, a][:, :, None, None] + axis[:, None], entries.shape)
+    columns = np.broadcast_to(3 * node[:, b][:, :, None, None] + axis, entries.shape)
+    where = rows.ravel(), columns.ravel()
+    return csr_array(coo_array((entries.ravel(), where), shape=(3 * n, 3 * n)))
+
+
+def solve_directly(
+    matrix: Matrix, coupling: Coupling, free: np.ndarray, b: np.ndarray, x: np.ndarray
+) -> tuple[float, bool]:
     """Fill `x` (n, 3) with the solution of A x = b on `free` vertices, zero on the others.
 
     Returns:
@@ -41,7 +57,7 @@ def solve_directly(matrix: Matrix, free: np.ndarray, b: np.ndarray, x: np.ndarra
     x[:] = 0.0
     if not len(kept):
         return 0.0, True
-    a = as_sparse(matrix)[kept][:, kept]
+    a = as_sparse(matrix, coupling)[kept][:, kept]
     right = b.ravel()[kept]
     if not np.isfinite(a.data).all() or not np.isfinite(right).all():
         return np.inf, False

@@ -99,7 +99,7 @@ def backward_euler(
     while True:
         newton += 1
         at, change = x_hat + h * velocities, v_hat - velocities
-        loose = model.untouched(contacts.vertex)
+        loose = model.loose(contacts.contacts)
         exact = newton > filtered
         forces = model.linearise(at, velocities, contacts, h, exact)
         linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
@@ -166,7 +166,7 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linea
     refresh(model.preconditioner, model.matrix)
     right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
     iterations, error, status = conjugate_gradients(
-        model.matrix, model.preconditioner, model.work, rest, step, shortcut, allowed, most
+        model.matrix, model.coupling, model.preconditioner, model.work, rest, step, shortcut, allowed, most
     )
     if status == EXHAUSTED and most < MOST_ITERATIONS:
         return _solve_directly(model, settings, right, h, iterations)
@@ -189,16 +189,20 @@ def _solve_directly(model: Model, settings: Settings, right: np.ndarray, h: floa
     from sim.solve.direct import solve_directly  # SciPy, which the usual solver does without
 
     step = np.empty_like(right)
-    error, definite = solve_directly(model.matrix, model.free, right, step)
+    error, definite = solve_directly(model.matrix, model.coupling, model.free, right, step)
     broken = not (definite and np.isfinite(step).all())
     return _Linear(step, tried + 1, h * error, h * error <= settings.tolerance, broken, "direct")
 
 
-def _drift(model: Model, loose: np.ndarray, momentum: np.ndarray) -> np.ndarray:
-    """(n, 3) the velocity of `loose` pieces as a whole, given each vertex's `momentum`; zero elsewhere."""
-    pieces = model.mesh.pieces
-    whole = np.stack([np.bincount(pieces, momentum[:, c]) for c in range(3)], axis=1)
-    return (whole / model.piece_masses[:, None] * loose[:, None])[pieces]
+Groups = tuple[np.ndarray, np.ndarray]
+"""Pieces by group, and the groups' masses [kg], as `Model.loose` gives them."""
+
+
+def _drift(model: Model, loose: Groups, momentum: np.ndarray) -> np.ndarray:
+    """(n, 3) the velocity of loose groups of pieces as a whole, given each vertex's `momentum`; else zero."""
+    groups = loose[0][model.mesh.pieces]
+    whole = np.stack([np.bincount(groups, momentum[:, c], len(loose[1])) for c in range(3)], axis=1)
+    return (whole / np.where(loose[1] > 0.0, loose[1], 1.0)[:, None])[groups]
 
 
 def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) -> np.ndarray:

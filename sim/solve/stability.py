@@ -39,7 +39,7 @@ def system_matrices(model: Model, positions: np.ndarray, exact: bool = False) ->
     parts = []
     for h in (1.0, -1.0):
         model.linearise(positions, np.zeros_like(positions), NO_GAP_SPRINGS, h, exact)
-        parts.append(as_sparse(model.matrix))
+        parts.append(as_sparse(model.matrix, model.coupling))
     masses = diags_array(np.repeat(model.masses, 3))
     return csr_array(0.5 * (parts[0] + parts[1]) - masses), csr_array(0.5 * (parts[0] - parts[1]))
 

@@ -35,7 +35,7 @@ def take_step(
         SolveError: as `backward_euler`.
     """
     name = settings.integrator
-    if INTEGRATORS[name].implicit and len(contacts.vertex):
+    if INTEGRATORS[name].implicit and len(contacts.drag):
         name = "backward_euler"
     stages: list[Solution] = []
 

@@ -15,7 +15,6 @@ import numpy as np
 from sim.compiled import (
     CHUNKS,
     corner,
-    dot,
     even_shares,
     indices,
     inner,
@@ -226,21 +225,6 @@ def add_forces(elements, gather, forces):
         forces[i, 0] -= x
         forces[i, 1] -= y
         forces[i, 2] -= z
-
-
-@kernel
-def add_single_node(elements, matrix, forces):
-    """Add elements of one node each, such as contacts with obstacles, to diagonal and forces."""
-    for e in range(len(elements.q)):
-        i = elements.nodes[e, 0]
-        g = corner(elements.gradient, e, 0)
-        for r in range(3):
-            forces[i, r] -= elements.tension[e] * elements.gradient[e, 0, r]
-            matrix.diagonal[i, r, r] += elements.across[e] * dot(g, g)
-            for s in range(3):
-                matrix.diagonal[i, r, s] += (
-                    elements.along[e] * elements.gradient[e, 0, r] * elements.gradient[e, 0, s]
-                )
 
 
 @inner

@@ -142,7 +142,7 @@ class System:
         model = world.model
         model.linearise(world.positions, world.velocities, NO_GAP_SPRINGS, STEP)
         kept = np.flatnonzero(np.repeat(model.free, 3))
-        matrix = csr_array(as_sparse(model.matrix)[kept][:, kept])
+        matrix = csr_array(as_sparse(model.matrix, model.coupling)[kept][:, kept])
         right = right_of(world).ravel()[kept]
         return cls(world, matrix, right, kept, splu(csc_array(matrix)).solve(right))
 
@@ -253,7 +253,15 @@ def own_iterations(system: System) -> int:
     allowed = ERROR * math.sqrt(3.0 * (weights @ system.solution**2) / weights.sum())  # at the worst vertex
     right, none = system.spread(system.right), np.zeros((len(model.masses), 3))
     count, _, _ = conjugate_gradients(
-        model.matrix, model.preconditioner, model.work, right, none.copy(), none, allowed, MOST
+        model.matrix,
+        model.coupling,
+        model.preconditioner,
+        model.work,
+        right,
+        none.copy(),
+        none,
+        allowed,
+        MOST,
     )
     return int(count)
 

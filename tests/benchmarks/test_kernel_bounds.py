@@ -265,9 +265,10 @@ def apply_preconditioner(stage):
 
 
 def multiply(stage):
-    matrix, free, partial = stage.model.matrix, stage.model.free, stage.model.work.partial
+    matrix, coupling = stage.model.matrix, stage.model.coupling
+    free, partial = stage.model.free, stage.model.work.partial
     read = [free, stage.x, *fields(matrix, "diagonal", "first", "column", "block")]
-    return Kernel(lambda: cg.multiply(matrix, free, stage.x, stage.y, partial), read, [stage.y], [])
+    return Kernel(lambda: cg.multiply(matrix, coupling, free, stage.x, stage.y, partial), read, [stage.y], [])
 
 
 def step_along(stage):

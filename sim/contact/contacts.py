@@ -1,0 +1,114 @@
+"""Contacts: what detection finds and responses act on, of cloth with obstacles and with itself alike.
+
+A contact is a scalar coordinate like a spring's, the gap q = Σ w_i n·x_i − offset over at most four vertices:
+one vertex against the plane that an obstacle shows it, a vertex against a triangle, an edge against an edge.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Contacts(NamedTuple):
+    """c contacts.
+
+    Attributes:
+        key: (c,) int64 that names the pair, in every step the same.
+        node: (c, 4) int32 vertices; those that a contact does not have are 0 and weigh nothing.
+        weight: (c, 4) w.
+        start: (c,) gap at the start of the step [m].
+        normal: (c, 3) n, a unit vector along which the gap grows.
+        offset: (c,) part of the gap that cloth does not decide, at the end of the step [m].
+        speed: (c, 3) velocity of the part that cloth does not decide [m/s].
+        thickness: (c,) gap that is to be kept [m].
+    """
+
+    key: np.ndarray
+    node: np.ndarray
+    weight: np.ndarray
+    start: np.ndarray
+    normal: np.ndarray
+    offset: np.ndarray
+    speed: np.ndarray
+    thickness: np.ndarray
+
+    def gaps(self, positions: np.ndarray) -> np.ndarray:
+        """(c,) gap [m] with vertices at `positions` (n, 3) [m]."""
+        return along(self.normal, weighted(self, positions)) - self.offset
+
+    def passing(self, velocities: np.ndarray) -> np.ndarray:
+        """(c, 3) velocity [m/s] of one side relative to the other."""
+        return weighted(self, velocities) - self.speed
+
+    def masses(self, inverse_masses: np.ndarray) -> np.ndarray:
+        """(c,) μ [kg], 1/μ = Σ w²/m; infinite where no vertex can move."""
+        inverse = np.sum(self.weight**2 * inverse_masses[self.node], axis=1)
+        with np.errstate(divide="ignore"):
+            return 1.0 / inverse
+
+    def only(self, which: np.ndarray | slice) -> Contacts:
+        """Those of them that the mask or the indices `which` pick."""
+        return Contacts(*(array[which] for array in self))
+
+    def and_also(self, others: Contacts) -> Contacts:
+        """These, then `others`."""
+        if not len(others.key):
+            return self
+        if not len(self.key):
+            return others
+        return Contacts(*(np.concatenate(pair) for pair in zip(self, others, strict=True)))
+
+
+def make_contacts(c: int) -> Contacts:
+    """Room for c contacts."""
+    whole, node = np.zeros(c, dtype=np.int64), np.zeros((c, 4), dtype=np.int32)
+    one, two, three = np.zeros(c), np.zeros(c), np.zeros(c)
+    return Contacts(whole, node, np.zeros((c, 4)), one, np.zeros((c, 3)), two, np.zeros((c, 3)), three)
+
+
+NO_CONTACTS = make_contacts(0)
+
+
+class Touch(NamedTuple):
+    """What contacts remember of the step before, by their keys in ascending order.
+
+    Attributes:
+        key: (t,).
+        pressed: (t,) normal impulse [N s].
+        slip: (t,) speed at which the two sides passed each other after it [m/s].
+    """
+
+    key: np.ndarray
+    pressed: np.ndarray
+    slip: np.ndarray
+
+    def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(c,) pressed and (c,) slip of the contacts with these `keys`, zero for what is new."""
+        if not len(self.key):
+            return np.zeros(len(keys)), np.zeros(len(keys))
+        place = np.searchsorted(self.key, keys).clip(0, len(self.key) - 1)
+        known = self.key[place] == keys
+        return np.where(known, self.pressed[place], 0.0), np.where(known, self.slip[place], 0.0)
+
+
+UNTOUCHED = Touch(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+
+def touch(keys: np.ndarray, pressed: np.ndarray, slip: np.ndarray) -> Touch:
+    """What to remember: the sum of what pairs pressed by, and the largest slip, where there are several."""
+    unique, place = np.unique(keys, return_inverse=True)
+    most = np.zeros(len(unique))
+    np.maximum.at(most, place, slip)
+    return Touch(unique, np.bincount(place, pressed, len(unique)), most)
+
+
+def along(normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(c,) n·a of each row."""
+    return np.einsum("ij,ij->i", normals, vectors)
+
+
+def weighted(contacts: Contacts, vectors: np.ndarray) -> np.ndarray:
+    """(c, 3) Σ w_i a_i over each contact's vertices."""
+    return np.einsum("ij,ijk->ik", contacts.weight, vectors[contacts.node])

@@ -1,0 +1,191 @@
+"""What of the cloth touches what of the cloth, and of mesh obstacles: vertices and triangles, pairs of edges.
+
+Detection works on one set of vertices, those of the cloth and then those of mesh obstacles. What it finds are
+contacts of cloth vertices alone: where the others are, and how they move, is in the contacts' offset and
+speed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.contact.broad import BroadPhase, Candidates
+from sim.contact.contacts import Contacts, along
+from sim.contact.impact import VERTEX_TRIANGLE
+from sim.contact.obstacles import Solid
+from sim.contact.proximity import measure, meet
+from sim.contact.surface import build_surface
+from sim.mesh import Mesh
+
+THICK = 0.4
+"""Part of a typical edge that cloth may be thick, so that a flat sheet does not touch itself."""
+
+GAP = 0.1
+"""Part of the thickness that continuous detection keeps free on the way."""
+
+AFTER = 2.0
+"""Gaps that are left after a pair has met on the way."""
+
+LEAST_SKIN, MOST_SKIN = 0.05, 0.4
+"""Parts of a typical edge that the lists' skin is wide: it grows while lists last, or else shrinks."""
+
+NEARER = 0.495
+"""Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
+
+
+NOTHING = np.zeros((0, 4))
+
+
+class Pairs:
+    """Pairs of features that may touch, kept up to date.
+
+    A step, or a part of one, begins with `begin`; then `hits` and `shorten` are about where it ends.
+
+    Args:
+        mesh: The cloth, n vertices.
+        free: (n,) bool, which of its vertices can move.
+        solid: Mesh obstacles, k vertices, where they are at first.
+        own: Whether cloth feels cloth, and not mesh obstacles alone.
+        first_key: Keys of contacts start here.
+    """
+
+    def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, own: bool, first_key: int) -> None:
+        n = len(free)
+        self._mesh, self._n, self._first_key, self.own = mesh, n, first_key, own
+        places = np.concatenate([mesh.vertices, solid.vertices])
+        edges = np.concatenate([mesh.edges, solid.edges + n])
+        self._surface, tree = build_surface(
+            places, np.concatenate([mesh.triangles, solid.triangles + n]), edges
+        )
+        outside = np.arange(len(places)) >= n
+        movable = np.concatenate([free, np.zeros(len(solid.vertices), dtype=bool)])
+        self._broad = BroadPhase(self._surface, tree, movable, outside | own)
+        ends = mesh.rest_vertices[mesh.edges]
+        self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+        self.forget()
+
+    def forget(self) -> None:
+        """Start with no list."""
+        self._list: Candidates | None = None
+        self._measured: np.ndarray | None = None
+        self._skin = LEAST_SKIN * self.edge
+        self.built = 0
+
+    def begin(
+        self,
+        x: np.ndarray,
+        end: np.ndarray,
+        before: np.ndarray,
+        after: np.ndarray,
+        h: float,
+        thickness: float,
+    ) -> Contacts:
+        """Begin a step of h [s] and find the pairs that are nearer than the thickness.
+
+        Args:
+            x: (n, 3) where the cloth's vertices are [m].
+            end: (n, 3) where they will be, as far as one knows [m].
+            before: (k, 3) where the obstacles' vertices are [m].
+            after: (k, 3) where they will be [m].
+            h: [s].
+            thickness: That is asked for [m]; cloth is no thicker than a part of a typical edge.
+        """
+        self._start, self._after, self._h = np.concatenate([x, before]), after, h
+        self.thickness = min(thickness, THICK * self.edge)
+        pairs, weight = self._listed(end)
+        distance = self._distance
+        close = np.flatnonzero((distance < self.thickness) & (distance > 0.0))
+        close = close[~self._near_at_rest(pairs, close)]
+        normal = np.einsum("ij,ijk->ik", weight[close], self._start[pairs.node[close]])
+        normal /= distance[close, None]
+        keep = np.full(len(close), self.thickness)
+        return self._contacts(pairs, close, weight[close], normal, keep)
+
+    def hits(self, end: np.ndarray) -> Contacts:
+        """Contacts of pairs that meet before the cloth's vertices are at `end` (n, 3) [m]."""
+        pairs, _ = self._listed(end)
+        p, gap = len(pairs.kind), GAP * self.thickness
+        time, normal, weight = np.empty(p), np.empty((p, 3)), np.empty((p, 4))
+        way = self._start, np.concatenate([end, self._after])
+        meet(pairs.kind, pairs.node, self._distance, *way, gap, time, normal, weight)
+        met = np.flatnonzero(time <= 1.0)
+        keep = np.minimum(AFTER * gap, self._distance[met])
+        return self._contacts(pairs, met, weight[met], normal[met], keep)
+
+    def shorten(self, end: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Let the vertices `which` of `end` go no farther than they can without meeting anything.
+
+        Returns those of them that would have gone farther.
+        """
+        pairs, _ = self._listed(end)
+        least = np.full(len(self._start), np.inf)
+        np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
+        way = end[which] - self._start[which]
+        part = NEARER * least[which] / np.maximum(np.linalg.norm(way, axis=1), 1e-300)
+        short = part < 1.0 - 1e-9  # else it has been shortened before
+        end[which[short]] = self._start[which[short]] + part[short, None] * way[short]
+        return which[short]
+
+    def adapt(self) -> None:
+        """At the end of a step: a skin for the next lists, by whether this step needed one."""
+        wider = 1.5 if self.built == 0 else 1.0 / 1.5
+        self._skin = float(np.clip(wider * self._skin, LEAST_SKIN * self.edge, MOST_SKIN * self.edge))
+        self.built = 0
+
+    def _listed(self, end: np.ndarray) -> tuple[Candidates, np.ndarray]:
+        """A list that holds for the whole way to `end`, with `_distance` for its pairs at the start.
+
+        The weights of pairs nearer than the thickness come with a list that is new to this step only.
+        """
+        start, end = self._start, np.concatenate([end, self._after])
+        known = self._list
+        if known is None or known.reach != self.thickness or not known.hold(start) or not known.hold(end):
+            known = self._list = self._broad.candidates(start, end, self._skin, self.thickness)
+            self.built += 1
+        elif self._measured is start:
+            return known, NOTHING
+        moved = np.linalg.norm(start - known.middle, axis=1)
+        self._distance, weight = np.empty(len(known.kind)), np.empty((len(known.kind), 4))
+        about = known.kind, known.node, known.distance, moved
+        measure(*about, start, self.thickness, self._distance, weight)
+        self._measured = start
+        return known, weight
+
+    def _near_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:
+        """Which of these pairs are of one piece and nearer than the thickness at rest, too."""
+        rest, pieces, node = self._mesh.rest_vertices, self._mesh.pieces, pairs.node[close]
+        inside = np.minimum(node, self._n - 1)
+        alike = np.flatnonzero(
+            (node < self._n).all(axis=1) & (pieces[inside] == pieces[inside[:, :1]]).all(axis=1)
+        )
+        apart, near = np.empty(len(alike)), np.zeros(len(close), dtype=bool)
+        about = pairs.kind[close[alike]], node[alike], np.zeros(len(alike)), np.zeros(len(rest))
+        measure(*about, rest, self.thickness, apart, np.empty((len(alike), 4)))
+        near[alike] = apart < self.thickness
+        return near
+
+    def _contacts(
+        self, pairs: Candidates, which: np.ndarray, weight: np.ndarray, normal: np.ndarray, keep: np.ndarray
+    ) -> Contacts:
+        """Contacts of the pairs `which`, with what the vertices of obstacles do in offset and speed."""
+        kind, node, n = pairs.kind[which], pairs.node[which], self._n
+        one, other = pairs.pair[which].T.astype(np.int64)
+        faces, edges = len(self._surface.faces), len(self._surface.edges)
+        key = np.where(kind == VERTEX_TRIANGLE, one * faces, len(self._start) * faces + one * edges)
+        outside = node >= n
+        theirs, index = np.where(outside, weight, 0.0), np.where(outside, node - n, 0)
+        offset, speed = np.zeros(len(which)), np.zeros((len(which), 3))
+        if outside.any():
+            before = self._start[n:]
+            offset = -along(normal, np.einsum("ij,ijk->ik", theirs, self._after[index]))
+            speed = -np.einsum("ij,ijk->ik", theirs, (self._after - before)[index]) / self._h
+        return Contacts(
+            key=self._first_key + key + other,
+            node=np.where(outside, 0, node).astype(np.int32),
+            weight=np.where(outside, 0.0, weight),
+            start=self._distance[which],
+            normal=normal,
+            offset=offset,
+            speed=speed,
+            thickness=keep,
+        )
