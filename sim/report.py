@@ -65,12 +65,14 @@ class StepReport:
     energy_injected: float = 0.0
     energy_jumps: int = 0
     energy_jump: float = 0.0
+    _within: float = field(default=0.0, repr=False)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Add the time that the block takes to `ms[name]` and to the total."""
-        begin = time.perf_counter()
+        """Add the time that the block takes to `ms[name]` and to the total; phases within it count apart."""
+        begin, outer, self._within = time.perf_counter(), self._within, 0.0
         yield
         took = 1e3 * (time.perf_counter() - begin)
-        self.ms[name] = self.ms.get(name, 0.0) + took
-        self.ms["total"] = self.ms.get("total", 0.0) + took
+        self.ms[name] = self.ms.get(name, 0.0) + took - self._within
+        self.ms["total"] = self.ms.get("total", 0.0) + took - self._within
+        self._within = outer + took

@@ -1,9 +1,9 @@
 """The broad phase: which vertices and triangles, and which pairs of edges, may come within reach.
 
-Every vertex is given a box to roam in: around where it is and where it is going, with a skin. A list of
-candidates holds every pair that can come within reach while all vertices stay in their boxes, so it serves
-step after step until one leaves its box (Verlet 1967). Boxes are as wide as the motion needs, not wider: a
-list for resting cloth lasts, and one for fast cloth is not long.
+A list of candidates is made for a way of all vertices, straight from one place to another in the same time.
+It holds for every way that stays within a skin of that one, so that it serves while impulses change the way,
+and where cloth rests step after step (Verlet 1967). What two features do together does not count, only how
+they move past each other: a list for cloth that falls as a whole is no longer than one for cloth at rest.
 
 The tree's shape is that of the surface, which changes little; only its boxes are fitted anew (van den Bergen
 1997). Leaves are compared in parallel, and what each finds is kept in the leaves' order.
@@ -17,13 +17,17 @@ import numba
 import numpy as np
 
 from sim.compiled import CHUNKS, add, dot, inner, kernel, norm, parallel_kernel, row, scale, share, sub
-from sim.contact.closest import edge_edge, separation, vertex_triangle
+from sim.contact.closest import separation
 from sim.contact.impact import EDGE_EDGE, VERTEX_TRIANGLE
+from sim.contact.proximity import nearest, passing
 from sim.contact.surface import Surface, Tree
 
 MOST_CANDIDATES = 20_000_000
 """Pairs beyond which a list is refused: they would take more than 500 MB."""
 
+
+ROUNDING = 1e-12
+"""Part by which skins are a little wider than they say."""
 
 MOVABLE, PARTNER = 1, 2
 """What a vertex may be; a pair of features needs some of both."""
@@ -34,15 +38,16 @@ class CandidateError(MemoryError):
 
 
 class Candidates(NamedTuple):
-    """p pairs that may come within `reach` while every vertex stays in its box.
+    """p pairs that may come within `reach` on every way within `skin` of the one from `start` to `end`.
 
     Attributes:
         kind: (p,) VERTEX_TRIANGLE or EDGE_EDGE; the former come first in each part.
         pair: (p, 2) int32 vertex and element, or two edges.
         node: (p, 4) int32 their vertices.
-        distance: (p,) distance with all vertices in the middle of their boxes [m].
-        middle: (n, 3) of the boxes [m].
-        half: (n, 3) half of their sides [m].
+        distance: (p,) at the start [m].
+        start: (n, 3) [m].
+        end: (n, 3) [m].
+        skin: [m].
         reach: [m].
     """
 
@@ -50,13 +55,18 @@ class Candidates(NamedTuple):
     pair: np.ndarray
     node: np.ndarray
     distance: np.ndarray
-    middle: np.ndarray
-    half: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    skin: float
     reach: float
 
-    def hold(self, positions: np.ndarray) -> bool:
-        """Whether every vertex of `positions` (n, 3) is in its box."""
-        return bool(_inside(positions, self.middle, self.half))
+    def hold_at(self, positions: np.ndarray) -> bool:
+        """Whether no other pair is within reach with vertices at `positions` (n, 3) [m]."""
+        return _within(positions, self.end, self.skin) or _within(positions, self.start, self.skin)
+
+    def hold_on(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether no other pair comes within reach on the way from `start` to `end`, (n, 3) both [m]."""
+        return _within(end, self.end, self.skin) and _within(start, self.start, self.skin)
 
 
 class BroadPhase:
@@ -72,55 +82,31 @@ class BroadPhase:
     def __init__(self, surface: Surface, tree: Tree, movable: np.ndarray, partner: np.ndarray) -> None:
         self.surface, self.tree = surface, tree
         self._role = (movable * MOVABLE + partner * PARTNER).astype(np.uint8)
-        self._low, self._high = np.zeros((2, len(tree.begin), 3))
-        self._boxes = np.zeros((len(surface.faces), 6))
+        self._boxes = np.zeros((len(surface.faces), 6)), *np.zeros((2, len(tree.begin), 3))
         self._room = 64
 
-    def candidates(self, one: np.ndarray, other: np.ndarray, skin: float, reach: float) -> Candidates:
-        """The pairs within `reach` [m] of each other while vertices are between and around two places.
+    def candidates(self, start: np.ndarray, end: np.ndarray, skin: float, reach: float) -> Candidates:
+        """The pairs that may come within reach of each other on the way from start to end.
 
         Args:
-            one: (n, 3) [m].
-            other: (n, 3) [m].
-            skin: How far around them they may roam [m].
+            start: (n, 3) [m].
+            end: (n, 3) [m].
+            skin: How far off that way vertices may be [m].
             reach: Distance of a pair that counts [m].
 
         Raises:
             CandidateError: where there are more than MOST_CANDIDATES.
         """
-        low, high = np.minimum(one, other) - skin, np.maximum(one, other) + skin
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        half *= 1.0 + 1e-12  # so that the ends themselves are inside
-        tree = self.tree
-        fit(
-            self.surface.faces,
-            tree.begin,
-            tree.end,
-            tree.skip,
-            middle,
-            half,
-            reach,
-            self._boxes,
-            self._low,
-            self._high,
-        )
-        lists = [
-            self._room_for_all(_query, middle, half, reach),
-            self._room_for_all(_near, middle, half, reach),
-        ]
-        pairs, numbers = (np.concatenate(parts) for parts in zip(*lists, strict=True))
-        kind = pairs[:, 0].astype(np.int8)
-        return Candidates(
-            kind,
-            np.ascontiguousarray(pairs[:, 1:3]),
-            np.ascontiguousarray(pairs[:, 3:]),
-            numbers,
-            middle,
-            half,
-            reach,
-        )
+        way = end - start
+        way -= way.mean(axis=0)  # where all go together they may as well stand still
+        tree, room = self.tree, reach + 2.0 * skin * (1.0 + ROUNDING)
+        fit(self.surface.faces, tree.begin, tree.end, tree.skip, start, way, room, *self._boxes)
+        lists = [self._room_for_all(find, start, way, room) for find in (_query, _near)]
+        pairs, distance = (np.concatenate(parts) for parts in zip(*lists, strict=True))
+        kind, pair, node = pairs[:, 0].astype(np.int8), pairs[:, 1:3].copy(), pairs[:, 3:].copy()
+        return Candidates(kind, pair, node, distance, start.copy(), end.copy(), skin, reach)
 
-    def _room_for_all(self, find, middle: np.ndarray, half: np.ndarray, reach: float):
+    def _room_for_all(self, find, start: np.ndarray, way: np.ndarray, room: float):
         """What `find` finds, with as much room as it turns out to need."""
         counts = np.zeros(CHUNKS, dtype=np.int64)
         while True:
@@ -128,20 +114,8 @@ class BroadPhase:
                 np.empty((CHUNKS, self._room, 7), dtype=np.int32),
                 np.empty((CHUNKS, self._room)),
             )
-            find(
-                self.surface,
-                self.tree,
-                self._role,
-                middle,
-                half,
-                reach,
-                self._boxes,
-                self._low,
-                self._high,
-                pairs,
-                distance,
-                counts,
-            )
+            about = self.surface, self.tree, self._role, start, way, room
+            find(*about, *self._boxes, pairs, distance, counts)
             most = int(counts.max())
             if most <= self._room:
                 found = [slice(0, count) for count in counts]
@@ -157,26 +131,27 @@ class BroadPhase:
 
 
 @kernel
-def _inside(positions, middle, half):
+def _within(positions, places, skin):
     for i in range(len(positions)):
+        square = 0.0
         for r in range(3):
-            if not abs(positions[i, r] - middle[i, r]) <= half[i, r]:
-                return False
+            square += (positions[i, r] - places[i, r]) ** 2
+        if not square <= skin * skin:
+            return False
     return True
 
 
 @kernel
-def fit(faces, begin, end, skip, middle, half, reach, boxes, low, high):
-    """Fill the boxes of elements, least and most, and of the tree's nodes, each wider by half of `reach`."""
+def fit(faces, begin, end, skip, start, way, room, boxes, low, high):
+    """Fill the boxes of elements on their way, least and most, and of the tree's nodes, half a room wider."""
     for f in range(len(faces)):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         for r in range(3):
-            boxes[f, r] = -0.5 * reach + min(
-                middle[i, r] - half[i, r], middle[j, r] - half[j, r], middle[k, r] - half[k, r]
-            )
-            boxes[f, r + 3] = 0.5 * reach + max(
-                middle[i, r] + half[i, r], middle[j, r] + half[j, r], middle[k, r] + half[k, r]
-            )
+            least, most = np.inf, -np.inf
+            for k in range(3):
+                a = start[faces[f, k], r]
+                b = a + way[faces[f, k], r]
+                least, most = min(least, a, b), max(most, a, b)
+            boxes[f, r], boxes[f, r + 3] = least - 0.5 * room, most + 0.5 * room
     for node in range(len(begin) - 1, -1, -1):
         if skip[node] == node + 1:
             for r in range(3):
@@ -192,7 +167,7 @@ def fit(faces, begin, end, skip, middle, half, reach, boxes, low, high):
 
 
 @parallel_kernel
-def _query(surface, tree, role, middle, half, reach, boxes, low, high, pairs, distance, counts):
+def _query(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts):
     """Find the pairs of elements that are no neighbours."""
     for chunk in numba.prange(CHUNKS):
         # Leaves are dealt like cards: those early in the order have more to compare themselves with.
@@ -208,9 +183,9 @@ def _query(surface, tree, role, middle, half, reach, boxes, low, high, pairs, di
             tree.skip,
             tree.leaf,
             role,
-            middle,
-            half,
-            reach,
+            start,
+            way,
+            room,
             boxes,
             low,
             high,
@@ -233,9 +208,9 @@ def _query_leaves(
     skip,
     leaves,
     role,
-    middle,
-    half,
-    reach,
+    start,
+    way,
+    room,
     boxes,
     low,
     high,
@@ -269,9 +244,9 @@ def _query_leaves(
                                         faces[b, 1],
                                         faces[b, 2],
                                         role,
-                                        middle,
-                                        half,
-                                        reach,
+                                        start,
+                                        way,
+                                        room,
                                         pairs,
                                         distance,
                                         count,
@@ -289,9 +264,9 @@ def _query_leaves(
                                         edges[other, 0],
                                         edges[other, 1],
                                         role,
-                                        middle,
-                                        half,
-                                        reach,
+                                        start,
+                                        way,
+                                        room,
                                         pairs,
                                         distance,
                                         count,
@@ -301,7 +276,7 @@ def _query_leaves(
 
 
 @parallel_kernel
-def _near(surface, tree, role, middle, half, reach, boxes, low, high, pairs, distance, counts):
+def _near(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts):
     """Find the pairs among neighbours."""
     for chunk in numba.prange(CHUNKS):
         counts[chunk] = _near_pairs(
@@ -310,9 +285,9 @@ def _near(surface, tree, role, middle, half, reach, boxes, low, high, pairs, dis
             surface.near_vertices,
             surface.near_edges,
             role,
-            middle,
-            half,
-            reach,
+            start,
+            way,
+            room,
             pairs[chunk],
             distance[chunk],
             chunk,
@@ -320,7 +295,7 @@ def _near(surface, tree, role, middle, half, reach, boxes, low, high, pairs, dis
 
 
 @inner
-def _near_pairs(faces, edges, near_vertices, near_edges, role, middle, half, reach, pairs, distance, chunk):
+def _near_pairs(faces, edges, near_vertices, near_edges, role, start, way, room, pairs, distance, chunk):
     count = 0
     part = share(chunk, len(near_vertices))
     for k in range(part[0], part[1]):
@@ -334,9 +309,9 @@ def _near_pairs(faces, edges, near_vertices, near_edges, role, middle, half, rea
             faces[f, 1],
             faces[f, 2],
             role,
-            middle,
-            half,
-            reach,
+            start,
+            way,
+            room,
             pairs,
             distance,
             count,
@@ -353,9 +328,9 @@ def _near_pairs(faces, edges, near_vertices, near_edges, role, middle, half, rea
             edges[other, 0],
             edges[other, 1],
             role,
-            middle,
-            half,
-            reach,
+            start,
+            way,
+            room,
             pairs,
             distance,
             count,
@@ -397,55 +372,27 @@ def _faces_overlap(boxes, f, g):
 
 
 @inner
-def _keep(kind, one, other, i, j, k, m, role, middle, half, reach, pairs, distance, count):
-    """Count the pair, and write it down where there is room, if it may come within reach."""
+def _keep(kind, one, other, i, j, k, m, role, start, way, room, pairs, distance, count):
+    """Count the pair, and write it down where there is place, if it may come within `room`."""
     if role[i] | role[j] | role[k] | role[m] != MOVABLE | PARTNER:
         return count
     if i in (k, m) or j in (k, m) or (kind == VERTEX_TRIANGLE and i == j):
         return count
-    a, b, c, d = row(middle, i), row(middle, j), row(middle, k), row(middle, m)
-    ra, rb, rc, rd = row(half, i), row(half, j), row(half, k), row(half, m)
+    a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
+    reach = room + passing(kind, row(way, i), row(way, j), row(way, k), row(way, m))
     if kind == VERTEX_TRIANGLE:
-        way = sub(a, scale(1.0 / 3.0, add(b, add(c, d))))
-        if (
-            _apart(way, a, ra, b, rb, reach)
-            and _apart(way, a, ra, c, rc, reach)
-            and _apart(way, a, ra, d, rd, reach)
-        ):
-            return count
-        gap = separation(vertex_triangle(a, b, c, d), a, b, c, d)
-        if (
-            _apart(gap, a, ra, b, rb, reach)
-            and _apart(gap, a, ra, c, rc, reach)
-            and _apart(gap, a, ra, d, rd, reach)
-        ):
+        n = sub(scale(3.0, a), add(b, add(c, d)))
+        if min(dot(n, sub(a, b)), dot(n, sub(a, c)), dot(n, sub(a, d))) > reach * norm(n):
             return count
     else:
-        way = sub(add(a, b), add(c, d))
-        if (
-            _apart(way, a, ra, c, rc, reach)
-            and _apart(way, a, ra, d, rd, reach)
-            and _apart(way, b, rb, c, rc, reach)
-            and _apart(way, b, rb, d, rd, reach)
-        ):
+        n = sub(add(a, b), add(c, d))
+        if min(dot(n, a), dot(n, b)) - max(dot(n, c), dot(n, d)) > reach * norm(n):
             return count
-        gap = separation(edge_edge(a, b, c, d), a, b, c, d)
-        if (
-            _apart(gap, a, ra, c, rc, reach)
-            and _apart(gap, a, ra, d, rd, reach)
-            and _apart(gap, b, rb, c, rc, reach)
-            and _apart(gap, b, rb, d, rd, reach)
-        ):
-            return count
+    apart = norm(separation(nearest(kind, a, b, c, d), a, b, c, d))
+    if apart > reach:
+        return count
     if count < len(distance):
         pairs[count, 0], pairs[count, 1], pairs[count, 2] = kind, one, other
         pairs[count, 3], pairs[count, 4], pairs[count, 5], pairs[count, 6] = i, j, k, m
-        distance[count] = norm(gap)
+        distance[count] = apart
     return count + 1
-
-
-@inner
-def _apart(way, a, ra, b, rb, reach):
-    """Whether boxes around a and b, of half sides ra and rb, stay more than `reach` apart along `way`."""
-    roam = abs(way.x) * (ra.x + rb.x) + abs(way.y) * (ra.y + rb.y) + abs(way.z) * (ra.z + rb.z)
-    return dot(way, sub(a, b)) > roam + reach * norm(way)

@@ -26,14 +26,14 @@ GAP = 0.1
 AFTER = 2.0
 """Gaps that are left after a pair has met on the way."""
 
-LEAST_SKIN, MOST_SKIN = 0.05, 0.4
-"""Parts of a typical edge that the lists' skin is wide: it grows while lists last, or else shrinks."""
+SKIN, QUIET_SKIN = 0.05, 0.25
+"""Parts of a typical edge that the skin of a list is wide: while cloth moves, and while it hardly does."""
+
+QUIET = 0.1
+"""Part of a typical edge that cloth which hardly moves goes in a step, at most."""
 
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
-
-
-NOTHING = np.zeros((0, 4))
 
 
 class Pairs:
@@ -67,24 +67,14 @@ class Pairs:
     def forget(self) -> None:
         """Start with no list."""
         self._list: Candidates | None = None
-        self._measured: np.ndarray | None = None
-        self._skin = LEAST_SKIN * self.edge
-        self.built = 0
 
     def begin(
-        self,
-        x: np.ndarray,
-        end: np.ndarray,
-        before: np.ndarray,
-        after: np.ndarray,
-        h: float,
-        thickness: float,
+        self, x: np.ndarray, before: np.ndarray, after: np.ndarray, h: float, thickness: float
     ) -> Contacts:
         """Begin a step of h [s] and find the pairs that are nearer than the thickness.
 
         Args:
             x: (n, 3) where the cloth's vertices are [m].
-            end: (n, 3) where they will be, as far as one knows [m].
             before: (k, 3) where the obstacles' vertices are [m].
             after: (k, 3) where they will be [m].
             h: [s].
@@ -92,7 +82,10 @@ class Pairs:
         """
         self._start, self._after, self._h = np.concatenate([x, before]), after, h
         self.thickness = min(thickness, THICK * self.edge)
-        pairs, weight = self._listed(end)
+        known = self._list
+        if known is None or known.reach != self.thickness or not known.hold_at(self._start):
+            known = self._renew(self._start)
+        pairs, weight = known, self._measure(known)
         distance = self._distance
         close = np.flatnonzero((distance < self.thickness) & (distance > 0.0))
         close = close[~self._near_at_rest(pairs, close)]
@@ -103,7 +96,7 @@ class Pairs:
 
     def hits(self, end: np.ndarray) -> Contacts:
         """Contacts of pairs that meet before the cloth's vertices are at `end` (n, 3) [m]."""
-        pairs, _ = self._listed(end)
+        pairs = self._listed(end)
         p, gap = len(pairs.kind), GAP * self.thickness
         time, normal, weight = np.empty(p), np.empty((p, 3)), np.empty((p, 4))
         way = self._start, np.concatenate([end, self._after])
@@ -117,7 +110,7 @@ class Pairs:
 
         Returns those of them that would have gone farther.
         """
-        pairs, _ = self._listed(end)
+        pairs = self._listed(end)
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
         way = end[which] - self._start[which]
@@ -126,30 +119,27 @@ class Pairs:
         end[which[short]] = self._start[which[short]] + part[short, None] * way[short]
         return which[short]
 
-    def adapt(self) -> None:
-        """At the end of a step: a skin for the next lists, by whether this step needed one."""
-        wider = 1.5 if self.built == 0 else 1.0 / 1.5
-        self._skin = float(np.clip(wider * self._skin, LEAST_SKIN * self.edge, MOST_SKIN * self.edge))
-        self.built = 0
+    def _listed(self, end: np.ndarray) -> Candidates:
+        """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""
+        way, known = (self._start, np.concatenate([end, self._after])), self._list
+        if known is None or not known.hold_on(*way):
+            known = self._renew(way[1])
+            self._measure(known)
+        return known
 
-    def _listed(self, end: np.ndarray) -> tuple[Candidates, np.ndarray]:
-        """A list that holds for the whole way to `end`, with `_distance` for its pairs at the start.
+    def _renew(self, end: np.ndarray) -> Candidates:
+        """Make a new list for the way from the start to `end` (n + k, 3) [m]."""
+        quiet = np.abs(end - self._start).max() < QUIET * self.edge
+        skin = (QUIET_SKIN if quiet else SKIN) * self.edge
+        self._list = self._broad.candidates(self._start, end, skin, self.thickness)
+        return self._list
 
-        The weights of pairs nearer than the thickness come with a list that is new to this step only.
-        """
-        start, end = self._start, np.concatenate([end, self._after])
-        known = self._list
-        if known is None or known.reach != self.thickness or not known.hold(start) or not known.hold(end):
-            known = self._list = self._broad.candidates(start, end, self._skin, self.thickness)
-            self.built += 1
-        elif self._measured is start:
-            return known, NOTHING
-        moved = np.linalg.norm(start - known.middle, axis=1)
-        self._distance, weight = np.empty(len(known.kind)), np.empty((len(known.kind), 4))
-        about = known.kind, known.node, known.distance, moved
-        measure(*about, start, self.thickness, self._distance, weight)
-        self._measured = start
-        return known, weight
+    def _measure(self, pairs: Candidates) -> np.ndarray:
+        """Set `_distance` of the pairs at the start; returns the weights of those that are near."""
+        self._distance, weight = np.empty(len(pairs.kind)), np.empty((len(pairs.kind), 4))
+        about = pairs.kind, pairs.node, pairs.distance, pairs.start
+        measure(*about, self._start, self.thickness, self._distance, weight)
+        return weight
 
     def _near_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:
         """Which of these pairs are of one piece and nearer than the thickness at rest, too."""
@@ -159,7 +149,7 @@ class Pairs:
             (node < self._n).all(axis=1) & (pieces[inside] == pieces[inside[:, :1]]).all(axis=1)
         )
         apart, near = np.empty(len(alike)), np.zeros(len(close), dtype=bool)
-        about = pairs.kind[close[alike]], node[alike], np.zeros(len(alike)), np.zeros(len(rest))
+        about = pairs.kind[close[alike]], node[alike], np.zeros(len(alike)), rest
         measure(*about, rest, self.thickness, apart, np.empty((len(alike), 4)))
         near[alike] = apart < self.thickness
         return near

@@ -90,10 +90,7 @@ class Pipeline:
         """
         response = self._response(settings)
         pairs = self._pairs_for(settings)
-        end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
-        if pairs is not None:
-            pairs.adapt()
-        return end
+        return self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
 
     def depths(self, time: float, positions: np.ndarray) -> np.ndarray:
         """(n,) how far each vertex is inside an obstacle at `time` [m], zero outside."""
@@ -133,7 +130,7 @@ class Pipeline:
             return self._projected(way, pairs)
         end = way.x + h * (way.v + h * np.asarray(s.gravity) * free)
         with report.phase("detect"):
-            near = self._begin(way, pairs, way.x + h * way.v)
+            near = self._begin(way, pairs)
         solves = 0
         while True:
             with report.phase("detect"):
@@ -171,9 +168,9 @@ class Pipeline:
             static = replace(way, before=way.after, x=x)
             hits = NO_CONTACTS
             if s.detection == "continuous":
-                self._begin(way, pairs, x)
+                self._begin(way, pairs)
                 hits = self._hits(way, pairs, x)
-            near = self._begin(static, pairs, x)
+            near = self._begin(static, pairs)
             touching = self._detect(RESPONSES[s.contact], way if s.detection == "continuous" else static, x)
             contacts = hits.and_also(near).and_also(touching)
         report.contacts = len(contacts.key)
@@ -199,12 +196,12 @@ class Pipeline:
             return response
         return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), solved=False)
 
-    def _begin(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
-        """Pairs that are nearer than the thickness at the start of a step to about `end`."""
+    def _begin(self, way: _Way, pairs: Pairs | None) -> Contacts:
+        """Pairs that are nearer than the thickness at the start."""
         if pairs is None:
             return NO_CONTACTS
         corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
-        return pairs.begin(way.x, end, *corners, way.settings.dt, way.settings.thickness)
+        return pairs.begin(way.x, *corners, way.settings.dt, way.settings.thickness)
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
         """Pairs that meet on the way to `end`."""

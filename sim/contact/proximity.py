@@ -22,28 +22,25 @@ ROOM = 0.25
 
 
 @parallel_kernel
-def measure(kind, node, listed, moved, positions, reach, distance, weight):
+def measure(kind, node, listed, places, positions, reach, distance, weight):
     """Fill the `distance` (p,) of pairs [m]: exact with weights where below `reach`, else a lower bound.
 
-    `listed` (p,) is each one's distance when every vertex was elsewhere by `moved` (n,) [m].
+    `listed` (p,) is each one's distance with vertices at `places` (n, 3) [m].
     """
     for chunk in numba.prange(CHUNKS):
-        _measure(kind, node, listed, moved, positions, reach, distance, weight, share(chunk, len(kind)))
+        _measure(kind, node, listed, places, positions, reach, distance, weight, share(chunk, len(kind)))
 
 
 @inner
-def _measure(kind, node, listed, moved, positions, reach, distance, weight, part):
+def _measure(kind, node, listed, places, positions, reach, distance, weight, part):
     for p in range(part[0], part[1]):
         i, j, k, m = node[p, 0], node[p, 1], node[p, 2], node[p, 3]
-        if kind[p] == VERTEX_TRIANGLE:
-            most = moved[i] + max(moved[j], moved[k], moved[m])
-        else:
-            most = max(moved[i], moved[j]) + max(moved[k], moved[m])
-        bound = listed[p] - most
+        a, b, c, d = row(positions, i), row(positions, j), row(positions, k), row(positions, m)
+        e, f, g, h = row(places, i), row(places, j), row(places, k), row(places, m)
+        bound = listed[p] - passing(kind[p], sub(a, e), sub(b, f), sub(c, g), sub(d, h))
         if bound > reach:
             distance[p] = bound
             continue
-        a, b, c, d = row(positions, i), row(positions, j), row(positions, k), row(positions, m)
         w = nearest(kind[p], a, b, c, d)
         distance[p] = norm(separation(w, a, b, c, d))
         weight[p, 0], weight[p, 1], weight[p, 2], weight[p, 3] = w
@@ -74,23 +71,26 @@ def _meet(kind, node, distance, start, end, gap, time, normal, weight, part):
         i, j, k, m = node[p, 0], node[p, 1], node[p, 2], node[p, 3]
         a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
         e, f, g, h = row(end, i), row(end, j), row(end, k), row(end, m)
-        u, v, w, x = sub(e, a), sub(f, b), sub(g, c), sub(h, d)
-        if kind[p] == VERTEX_TRIANGLE:
-            passing = max(_square(u, v), _square(u, w), _square(u, x))
-        else:
-            passing = max(_square(u, w), _square(u, x), _square(v, w), _square(v, x))
-        passing = math.sqrt(passing)
-        if passing == 0.0 or distance[p] - passing > gap:
+        past = passing(kind[p], sub(e, a), sub(f, b), sub(g, c), sub(h, d))
+        if past == 0.0 or distance[p] - past > gap:
             continue
         apart = norm(separation(nearest(kind[p], a, b, c, d), a, b, c, d))
         own = min(gap, ROOM * apart)
-        if not apart > 0.0 or apart - passing > own:
+        if not apart > 0.0 or apart - past > own:
             continue
         t, n, s = impact(kind[p], a, b, c, d, e, f, g, h, own, MOST_JUMPS)
         if t <= 1.0:
             time[p], distance[p] = t, apart
             normal[p, 0], normal[p, 1], normal[p, 2] = n.x, n.y, n.z
             weight[p, 0], weight[p, 1], weight[p, 2], weight[p, 3] = s
+
+
+@inner
+def passing(kind, a, b, c, d):
+    """How far, at most, points of a pair's features move past each other, by the ways of the vertices."""
+    if kind == VERTEX_TRIANGLE:
+        return math.sqrt(max(_square(a, b), _square(a, c), _square(a, d)))
+    return math.sqrt(max(_square(a, c), _square(a, d), _square(b, c), _square(b, d)))
 
 
 @inner
