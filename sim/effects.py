@@ -38,16 +38,38 @@ def effects(
     if settings.bend == "none":
         found["bending"] = "off: bend is none"
     found["damping"] = "ran" if settings.gamma > 0.0 else "off: gamma is zero"
-    if not obstacles:
-        found["contact"] = "off: no obstacle"
-    elif settings.contact == "none":
-        found["contact"] = "off: contact is none"
-    else:
-        found["contact"] = (
-            f"ran: {report.contacts} contacts" if report.contacts else "ran: nothing within reach"
-        )
+    found["contact"] = _contact(settings, report, obstacles)
+    found["self-collision"] = _self_collision(settings, model, report)
     found["integrator"] = _integrator(settings, report, limit)
     return found
+
+
+def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
+    if settings.contact == "none":
+        return "off: contact is none"
+    if not obstacles and settings.self_collision == "off":
+        return "off: no obstacle, and self-collision is off"
+    words = f"ran: {report.contacts} contacts" if report.contacts else "ran: nothing within reach"
+    if report.substeps > 1:
+        words += f"; in {report.substeps} parts, as impulses alone did not untangle it"
+    if report.held_back:
+        words += f"; {report.held_back} vertices held back from what they would have met"
+    return words
+
+
+def _self_collision(settings: Settings, model: Model, report: StepReport) -> str:
+    if settings.contact == "none":
+        return "off: contact is none"
+    if settings.self_collision == "off":
+        return "off: self_collision is off"
+    if not len(model.mesh.edges):
+        return "off: no edges"
+    words = f"ran: {report.candidates} pairs looked at, {report.near} near"
+    if report.hits:
+        words += f", {report.hits} kept from meeting"
+    if report.thickness < settings.thickness:
+        words += f"; {1e3 * report.thickness:.2g} mm thick, 0.4 of an edge"
+    return words
 
 
 def _integrator(settings: Settings, report: StepReport, limit: float | None) -> str:

@@ -37,6 +37,9 @@ class StepReport:
         contacts: Contacts that detection found.
         penetrations: Vertices inside an obstacle at the end of the step.
         deepest: How far the deepest of them is inside [m].
+        candidates: Pairs of features of cloth that were looked at.
+        near: Of these, those nearer than the thickness at the start.
+        thickness: That cloth had against cloth [m]; no more than a part of a typical edge.
         hits: Pairs that continuous detection found to meet, summed over its rounds.
         held_back: Vertices that had to be held back, as no impulse led them past what they would have met.
         substeps: Parts that the step was done in.
@@ -57,6 +60,9 @@ class StepReport:
     contacts: int = 0
     penetrations: int = 0
     deepest: float = 0.0
+    candidates: int = 0
+    near: int = 0
+    thickness: float = 0.0
     hits: int = 0
     held_back: int = 0
     substeps: int = 1

@@ -33,7 +33,7 @@ RADIUS = 0.3
 """Of the sphere [m]; its top is at the origin."""
 
 THICKNESS = 5e-3
-"""Distance that cloth keeps from the sphere [m]."""
+"""Distance that cloth keeps from the sphere, and from itself up to 0.4 of an edge [m]."""
 
 DROP = 0.01
 """Height of the falling sheet above the top of the sphere [m]."""
@@ -93,6 +93,7 @@ class Sheet:
             "bend": "cross",
             "bending": BENDING,
             "contact": "impulse",
+            "self_collision": "off" if self.hangs else "on",
             "thickness": THICKNESS,
             "dt": FRAME,
             "newton": 1,

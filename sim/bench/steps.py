@@ -18,6 +18,9 @@ WARM = 10
 SAMPLES = 3
 """Steps that are done again with the reference solver."""
 
+AUDIT = 10
+"""Steps between two looks for edges that cross triangles."""
+
 DIRECT = 10_000
 """Vertices up to which the reference is a direct solve; beyond, its factors take minutes."""
 
@@ -46,11 +49,13 @@ def measure_steps(
         steps: At most.
         seconds: After which no more steps are begun [s].
         say: Is told "kernels" [s] (imports, and compiling or loading of kernels), "build" [s], "ms" and
-            "iterations" of each warm step, "memory" [MB], "layer" of Numba's threads, and, one by one,
-            "errors" [m]: the largest distance of a vertex from where the reference puts it.
+            "iterations" of each warm step, "crossings" after every tenth step, "memory" [MB], "layer" of
+            Numba's threads, and, one by one, "errors" [m]: the largest distance of a vertex from where the
+            reference puts it.
         clock: Tells the time [s].
     """
     begin = clock()
+    from sim.contact.intersections import intersections
     from sim.simulation import Simulation
     from sim.threads import threading_layer
     from sim.warmup import warm_up
@@ -64,6 +69,7 @@ def measure_steps(
         "build": clock() - compiled,
         "ms": [],
         "iterations": [],
+        "crossings": [],
     }
     say(found)
     limit = clock() + seconds
@@ -78,6 +84,8 @@ def measure_steps(
         if i >= warm:
             found["ms"].append(report.ms["total"])
             found["iterations"].append(report.iterations)
+        if i % AUDIT == 0 and not sheet.hangs:
+            found["crossings"].append(len(intersections(world.positions, world.triangles)))
         if before is not None:
             before_after.append((before, world.positions.copy()))
     say(found := {**found, "memory": peak_memory(), "layer": threading_layer(), "errors": []})

@@ -220,6 +220,8 @@ def _query_leaves(
 ):
     count = 0
     for k in range(chunk, len(leaves), CHUNKS):
+        if count > MOST_CANDIDATES:  # it is refused anyway
+            break
         leaf = leaves[k]
         node = leaf
         while node < len(begin):

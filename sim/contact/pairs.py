@@ -64,6 +64,11 @@ class Pairs:
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
         self.forget()
 
+    @property
+    def listed(self) -> int:
+        """How many pairs there are on the list."""
+        return 0 if self._list is None else len(self._list.kind)
+
     def forget(self) -> None:
         """Start with no list."""
         self._list: Candidates | None = None

@@ -63,7 +63,7 @@ class Pipeline:
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
-        self.obstacles = Obstacles(scene)
+        self.obstacles = Obstacles(scene, model.mesh.shells)
         self._model = model
         self._pairs: Pairs | None = None
         self.forget()
@@ -131,6 +131,9 @@ class Pipeline:
         end = way.x + h * (way.v + h * np.asarray(s.gravity) * free)
         with report.phase("detect"):
             near = self._begin(way, pairs)
+        if pairs is not None:
+            report.near, report.candidates = len(near.key), pairs.listed
+            report.thickness = pairs.thickness
         solves = 0
         while True:
             with report.phase("detect"):
