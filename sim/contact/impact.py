@@ -56,9 +56,10 @@ def impact(kind, a0, a1, a2, a3, b0, b1, b2, b3, gap, most):
 
     Returns:
         The time; a unit vector n; the weights w of the nearest points then (`sim.contact.closest`).
-        Until the time the distance is at least `gap`, and at it no more than NEAR times that, unless jumps
-        ran out. A pair as near as that from the start has the time 0. n is the direction in which the pair
-        was last seen apart, so that n · Σ wᵢ xᵢ > 0; if it touches from the start, n is square to it.
+        Until the time the distance is at least `gap`; at it, it is no more than NEAR times that, unless
+        jumps ran out or, of a degenerate pair, no direction led on. A pair as near as that from the start
+        has the time 0. n is the direction in which the pair was last seen apart, so that n · Σ wᵢ xᵢ > 0;
+        if it touches from the start, n is square to it.
     """
     p1, p2, p3, q1, q2, q3 = sub(a1, a0), sub(a2, a0), sub(a3, a0), sub(b1, b0), sub(b2, b0), sub(b3, b0)
     gap = max(gap, ROUNDING * max(_size(p1), _size(p2), _size(p3), _size(q1), _size(q2), _size(q3)))

@@ -33,9 +33,11 @@ def time_of_impact(kind: str, x: np.ndarray) -> np.ndarray:
 
     No contact is missed, and no time is later than the truth. A pair counts as meeting where it comes closer
     than 2⁻⁴⁶ (1.4e-14) of its size, which is the largest difference of a coordinate between two of its
-    vertices, at the start or the end; the time is that at which it does. Neither the order of a triangle's
-    vertices, of the edges or of their ends, nor a power of two that scales everything changes a bit. Whether
-    they meet does not change either when start and end are swapped.
+    vertices, at the start or the end; the time is that at which it does. (Of a million degenerate queries
+    about one is found from 1e-11 of its size on.)
+
+    Neither the order of a triangle's vertices, of the edges or of their ends, nor a power of two that scales
+    everything changes a bit. Whether they meet does not change either when start and end are swapped.
     """
     if kind not in KINDS:
         raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
