@@ -63,7 +63,7 @@ class Pipeline:
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
-        self.obstacles = Obstacles(scene, model.mesh.shells)
+        self.obstacles = Obstacles(scene)
         self._model = model
         self._pairs: Pairs | None = None
         self.forget()
