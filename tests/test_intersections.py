@@ -184,12 +184,3 @@ def test_refusals_say_what_was_expected():
         intersections(x, triangles * 1.0)
     with pytest.raises(ValueError, match=r"^triangles: expected vertices from 0 to 8, got 0 to 9$"):
         intersections(x, np.array([[0, 1, 9]]))
-
-
-@pytest.mark.benchmark(group="intersections")
-@pytest.mark.parametrize("shape", ["flat", "crumpled"])
-def test_time_for_ten_thousand_vertices(benchmark, shape):
-    x, triangles = sheet(100, 100)
-    if shape == "crumpled":
-        x = x + 2.0 * np.random.default_rng(0).normal(size=x.shape)
-    benchmark(intersections, x, triangles)
