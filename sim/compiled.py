@@ -25,6 +25,9 @@ import numba  # noqa: E402
 import numpy as np  # noqa: E402
 from numba.core.dispatcher import Dispatcher  # noqa: E402
 
+# Who imported numba before this module had it read where its cache is before that was chosen.
+numba.config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR", "")  # pyright: ignore
+
 inner = numba.njit(cache=True, error_model="numpy")
 unordered = numba.njit(cache=True, error_model="numpy", fastmath={"reassoc"})
 

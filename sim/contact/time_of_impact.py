@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 
 from sim.compiled import CHUNKS, corner, inner, parallel_kernel, share
-
-# isort: split
-import numba  # after sim.compiled, which tells it where its cache is
-
 from sim.contact.impact import EDGE_EDGE, VERTEX_TRIANGLE, impact
 from sim.threads import processor_threads
 
