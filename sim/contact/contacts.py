@@ -19,7 +19,8 @@ class Contacts(NamedTuple):
 
     Attributes:
         key: (c,) int64 that names the pair, in every step the same.
-        node: (c, 4) int32 vertices; those that a contact does not have are 0 and weigh nothing.
+        node: (c, 4) int32 vertices; in place of those that a contact does not have are others, which weigh
+            nothing: one of its own where it is of a pair.
         weight: (c, 4) w.
         start: (c,) gap at the start of the step [m].
         normal: (c, 3) n, a unit vector along which the gap grows.

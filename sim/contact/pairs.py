@@ -119,10 +119,11 @@ class Pairs:
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
         way = end[which] - self._start[which]
-        part = NEARER * least[which] / np.maximum(np.linalg.norm(way, axis=1), 1e-300)
-        short = part < 1.0 - 1e-9  # else it has been shortened before
-        end[which[short]] = self._start[which[short]] + part[short, None] * way[short]
-        return which[short]
+        allowed, length = NEARER * least[which], np.linalg.norm(way, axis=1)
+        far = length > (1.0 + 1e-9) * allowed  # else it has been shortened before
+        which, start = which[far], self._start[which[far]]
+        end[which] = start + (allowed[far] / length[far])[:, None] * way[far]
+        return which
 
     def _listed(self, end: np.ndarray) -> Candidates:
         """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""
@@ -168,6 +169,7 @@ class Pairs:
         faces, edges = len(self._surface.faces), len(self._surface.edges)
         key = np.where(kind == VERTEX_TRIANGLE, one * faces, len(self._start) * faces + one * edges)
         outside = node >= n
+        ours = node[np.arange(len(node)), outside.argmin(axis=1)]
         theirs, index = np.where(outside, weight, 0.0), np.where(outside, node - n, 0)
         offset, speed = np.zeros(len(which)), np.zeros((len(which), 3))
         if outside.any():
@@ -176,7 +178,7 @@ class Pairs:
             speed = -np.einsum("ij,ijk->ik", theirs, (self._after - before)[index]) / self._h
         return Contacts(
             key=self._first_key + key + other,
-            node=np.where(outside, 0, node).astype(np.int32),
+            node=np.where(outside, ours[:, None], node).astype(np.int32),
             weight=np.where(outside, 0.0, weight),
             start=self._distance[which],
             normal=normal,

@@ -343,9 +343,11 @@ class Pipeline:
         while True:
             with way.report.phase("detect"):
                 hits = self._hits(way, pairs, x)
-            which = np.unique(hits.node[(hits.weight != 0.0) & self._model.free[hits.node]])
-            shortened = pairs.shorten(x, which)
-            held[which] = True
+            # All vertices of a pair, also those that weigh nothing where it meets: it might turn about these.
+            shortened = pairs.shorten(x, np.unique(hits.node[self._model.free[hits.node]]))
             if not len(shortened):
                 break
+            stay = shortened[held[shortened]]  # what is left of these ways is rounding
+            x[stay] = way.x[stay]
+            held[shortened] = True
         way.report.held_back += int(np.count_nonzero(held))
