@@ -35,6 +35,9 @@ QUIET = 0.1
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
+ROUNDING = 1e-12
+"""Part of the largest coordinate below which no part of a distance is gone: rounding might go the rest."""
+
 
 class Pairs:
     """Pairs of features that may touch, kept up to date.
@@ -119,7 +122,9 @@ class Pairs:
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
         way = end[which] - self._start[which]
-        allowed, length = NEARER * least[which], np.linalg.norm(way, axis=1)
+        size = max(np.abs(self._start).max(), np.abs(end).max())
+        allowed = np.where(least[which] < ROUNDING * size, 0.0, NEARER * least[which])
+        length = np.linalg.norm(way, axis=1)
         far = length > (1.0 + 1e-9) * allowed  # else it has been shortened before
         which, start = which[far], self._start[which[far]]
         end[which] = start + (allowed[far] / length[far])[:, None] * way[far]
