@@ -25,7 +25,6 @@ from sim.contact.surface import Surface, Tree
 MOST_CANDIDATES = 20_000_000
 """Pairs beyond which a list is refused: they would take more than 500 MB."""
 
-
 ROUNDING = 1e-12
 """Part by which skins are a little wider than they say."""
 
@@ -250,10 +249,8 @@ def _query_leaves(
                                         VERTEX_TRIANGLE,
                                         faces[a, c],
                                         b,
-                                        faces[a, c],
-                                        faces[b, 0],
-                                        faces[b, 1],
-                                        faces[b, 2],
+                                        faces,
+                                        edges,
                                         role,
                                         start,
                                         way,
@@ -270,10 +267,8 @@ def _query_leaves(
                                         EDGE_EDGE,
                                         one,
                                         other,
-                                        edges[one, 0],
-                                        edges[one, 1],
-                                        edges[other, 0],
-                                        edges[other, 1],
+                                        faces,
+                                        edges,
                                         role,
                                         start,
                                         way,
@@ -293,41 +288,11 @@ def _near_pairs(
     part = share(chunk, len(near_vertices))
     for k in range(part[0], part[1]):
         i, f = near_vertices[k, 0], near_vertices[k, 1]
-        count = _keep(
-            VERTEX_TRIANGLE,
-            i,
-            f,
-            i,
-            faces[f, 0],
-            faces[f, 1],
-            faces[f, 2],
-            role,
-            start,
-            way,
-            room,
-            pairs,
-            distance,
-            count,
-        )
+        count = _keep(VERTEX_TRIANGLE, i, f, faces, edges, role, start, way, room, pairs, distance, count)
     part = share(chunk, len(near_edges))
     for k in range(part[0], part[1]):
         one, other = near_edges[k, 0], near_edges[k, 1]
-        count = _keep(
-            EDGE_EDGE,
-            one,
-            other,
-            edges[one, 0],
-            edges[one, 1],
-            edges[other, 0],
-            edges[other, 1],
-            role,
-            start,
-            way,
-            room,
-            pairs,
-            distance,
-            count,
-        )
+        count = _keep(EDGE_EDGE, one, other, faces, edges, role, start, way, room, pairs, distance, count)
     return count
 
 
@@ -365,8 +330,12 @@ def _faces_overlap(boxes, f, g):
 
 
 @inner
-def _keep(kind, one, other, i, j, k, m, role, start, way, room, pairs, distance, count):
+def _keep(kind, one, other, faces, edges, role, start, way, room, pairs, distance, count):
     """Count the pair, and write it down where there is place, if it may come within `room`."""
+    if kind == VERTEX_TRIANGLE:
+        i, j, k, m = one, faces[other, 0], faces[other, 1], faces[other, 2]
+    else:
+        i, j, k, m = edges[one, 0], edges[one, 1], edges[other, 0], edges[other, 1]
     if role[i] | role[j] | role[k] | role[m] != MOVABLE | PARTNER:
         return count
     if i in (k, m) or j in (k, m) or (kind == VERTEX_TRIANGLE and i == j):
