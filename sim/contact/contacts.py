@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.compiled import dot, inner, kernel, row
+
 EDGEWISE = 0.1
 """Part of a normal below which it does not count as lying in the plane that motion is confined to."""
 
@@ -40,7 +42,9 @@ class Contacts(NamedTuple):
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:
         """(c,) gap [m] with vertices at `positions` (n, 3) [m]."""
-        return along(self.normal, weighted(self, positions)) - self.offset
+        q = np.empty(len(self.key))
+        set_gaps(self, positions, q)
+        return q
 
     def passing(self, velocities: np.ndarray) -> np.ndarray:
         """(c, 3) velocity [m/s] of one side relative to the other."""
@@ -129,6 +133,23 @@ def touch(keys: np.ndarray, pressed: np.ndarray, slip: np.ndarray) -> Touch:
     most = np.zeros(len(unique))
     np.maximum.at(most, place, slip)
     return Touch(unique, np.bincount(place, pressed, len(unique)), most)
+
+
+@kernel
+def set_gaps(contacts, positions, q):
+    """Fill q = Σ w n·x − offset [m]."""
+    for c in range(len(q)):
+        q[c] = -lack_of(contacts, positions, c, 0.0)
+
+
+@inner
+def lack_of(contacts, positions, c, target):
+    """How far the gap of contact c at `positions` (n, 3) is short of `target` [m]."""
+    n, lack = row(contacts.normal, c), target + contacts.offset[c]
+    for a in range(4):
+        if contacts.weight[c, a] != 0.0:
+            lack -= contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
+    return lack
 
 
 def along(normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiled import dot, inner, kernel, row
-from sim.contact.contacts import NO_CONTACTS, Contacts, along
+from sim.compiled import inner, kernel
+from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps
 from sim.contact.friction import CREEP, EXCESS, expected_drag, slip_of
 from sim.contact.response import Response, lacks, targets
 from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
@@ -165,17 +165,6 @@ def gap_springs(
     force = np.maximum(pressed / h, mass * np.maximum(lack, 0.0) / h**2)
     drag = settings.friction * force / np.maximum(np.maximum(sliding, slip), CREEP)
     return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag)
-
-
-@kernel
-def set_gaps(contacts, positions, q):
-    """Fill q = Σ w n·x − offset [m]."""
-    for c in range(len(q)):
-        q[c] = -contacts.offset[c]
-        n = row(contacts.normal, c)
-        for a in range(4):
-            if contacts.weight[c, a] != 0.0:
-                q[c] += contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
 
 
 @kernel

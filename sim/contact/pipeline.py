@@ -43,7 +43,7 @@ Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray], Solution]
 
 @dataclass
 class _Way:
-    """What one step, or one part of it, has to go on, and what it has found so far."""
+    """What one step, or one part of it, has to go on."""
 
     settings: Settings
     before: Poses

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.compiled import dot, kernel, norm, row, scale, sub
-from sim.contact.contacts import Contacts
+from sim.contact.contacts import Contacts, lack_of
 from sim.contact.friction import give, passing_of, shift
 
 
@@ -88,10 +88,7 @@ def push_apart(contacts, targets, masses, inverse_masses, h, positions, velociti
             if masses[c] == np.inf:
                 continue
             n = row(contacts.normal, c)
-            lack = targets[c] + contacts.offset[c]
-            for a in range(4):
-                if contacts.weight[c, a] != 0.0:
-                    lack -= contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
+            lack = lack_of(contacts, positions, c, targets[c])
             if lack > RESTING or (lack < -RESTING and given[c] > 0.0):
                 impulse = max(masses[c] * lack / h, -given[c])
                 given[c] += impulse
@@ -111,10 +108,7 @@ def project(contacts, friction, masses, inverse_masses, positions, velocities):
     for _ in range(PROJECTIONS):
         for c in range(len(masses)):
             n = row(contacts.normal, c)
-            lack = contacts.thickness[c] + contacts.offset[c]
-            for a in range(4):
-                if contacts.weight[c, a] != 0.0:
-                    lack -= contacts.weight[c, a] * dot(n, row(positions, contacts.node[c, a]))
+            lack = lack_of(contacts, positions, c, contacts.thickness[c])
             if lack > 0.0 and masses[c] < np.inf:
                 shift(contacts, c, inverse_masses, scale(masses[c] * lack, n), positions)
                 passing = passing_of(contacts, velocities, c)
