@@ -36,6 +36,7 @@ class Mesh:
             x4 of triangle (x2, x1, x4).
         pieces: (n,) which cloth of the scene a vertex belongs to.
         pinned: (k,) vertices that stay where they start, sorted.
+        axis: the coordinate that no vertex moves along, None where all may.
         density: (pieces,) mass per area [kg/m²], nan where the setting rules.
         given_masses: (n,) masses [kg] given explicitly, nan elsewhere.
         shells: the triangles of each obstacle of the scene, None for those that are no meshes.
@@ -49,6 +50,7 @@ class Mesh:
     hinges: np.ndarray
     pieces: np.ndarray
     pinned: np.ndarray
+    axis: int | None
     density: np.ndarray
     given_masses: np.ndarray
     shells: tuple[Shell | None, ...]
@@ -84,6 +86,7 @@ def build_mesh(scene: Scene) -> Mesh:
         pinned=np.unique(np.concatenate([p.pins + f for p, f in zip(pieces, first, strict=False)])).astype(
             np.int32
         ),
+        axis=None if scene.plane is None else "xyz".index(({*"xyz"} - {*scene.plane}).pop()),
         density=np.array([np.nan if d is None else d for d in densities]),
         given_masses=np.concatenate([p.masses for p in pieces]),
         shells=shells,

@@ -15,7 +15,7 @@ from sim.settings import Settings
 from sim.solve.cg import make_workspace
 from sim.solve.coupling import uncoupled
 from sim.solve.preconditioner import build_preconditioner
-from sim.solve.system import add_curvature, add_elements, add_forces, build_system, reset
+from sim.solve.system import add_curvature, add_elements, add_forces, build_system, confine, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
 
 OUTSIDE = 1e-9
@@ -31,6 +31,7 @@ class Model:
         masses: (n,) [kg].
         inverse_masses: (n,) [1/kg], zero for fixed vertices.
         free: (n,) bool, false for pinned vertices.
+        axis: The coordinate, 0 to 2, that the scene keeps as it is; None where all may move.
         free_mass: Sum of the masses of free vertices [kg].
         piece_masses: (pieces,) [kg].
         springs: one per kind in force.
@@ -46,6 +47,7 @@ class Model:
         n = len(mesh.vertices)
         self.free = np.ones(n, dtype=bool)
         self.free[mesh.pinned] = False
+        self.axis = mesh.axis
         self._forces = np.zeros((n, 3))
         self.damping_ratios = damping_ratios(settings)
         self._set_masses()
@@ -110,8 +112,17 @@ class Model:
             if curvature is not None:
                 add_curvature(elements, gather, curvature, h, self.matrix)
             add_forces(elements, gather, self._forces)
+        if self.axis is not None:
+            confine(self.matrix, self.masses, self.axis, self._forces)
         self.coupling = contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
+
+    def confined(self, vectors: np.ndarray) -> np.ndarray:
+        """The part of `vectors` (n, 3) that can be moved along: zero where pinned, and along `axis`."""
+        moves = np.where(self.free[:, None], vectors, 0.0)
+        if self.axis is not None:
+            moves[:, self.axis] = 0.0
+        return moves
 
     @property
     def conservative(self) -> bool:
@@ -145,6 +156,8 @@ class Model:
             set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
             set_tension(springs.elements, velocities)
             add_forces(springs.elements, gather, forces)
+        if self.axis is not None:
+            forces[:, self.axis] = 0.0
         return forces
 
     def accelerations(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:

@@ -226,10 +226,14 @@ class Compare(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A whole scene. `source` names it in errors; `folder` is where its mesh files are looked for."""
+    """A whole scene. `source` names it in errors; `folder` is where its mesh files are looked for.
+
+    Where there is a `plane`, no vertex leaves the one parallel to it that it starts in.
+    """
 
     format: Literal[1] = 1
     name: str = ""
+    plane: Literal["xy", "xz", "yz"] | None = None
     cloth: list[Cloth]
     obstacle: list[Obstacle] = []
     settings: Settings = Settings()

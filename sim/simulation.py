@@ -75,7 +75,7 @@ class Simulation:
 
     def _start(self) -> np.ndarray:
         noise = np.random.default_rng(self.settings.seed).standard_normal(self.mesh.vertices.shape)
-        return self.mesh.vertices + self.settings.jitter * noise * self.model.free[:, None]
+        return self.mesh.vertices + self.settings.jitter * self.model.confined(noise)
 
     @property
     def settings(self) -> Settings:
@@ -186,7 +186,7 @@ class Simulation:
             if array.shape != self._positions.shape or not np.isfinite(array).all():
                 raise ValueError(f"{name}: expected finite numbers of shape {self._positions.shape}")
         self._go_over(Ramp.done(self.settings))
-        self._positions, self._velocities = new[0], np.where(self.model.free[:, None], new[1], 0.0)
+        self._positions, self._velocities = new[0], self.model.confined(new[1])
         self._time = self._injected = 0.0
         self._previous = self._limit = None
         self.contact.forget()

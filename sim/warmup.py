@@ -30,20 +30,23 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         progress: Called as progress(ready, total, name) when a kernel begins to compile, and once at the end.
     """
     cloth = {"kind": "grid", "size": [0.2, 0.2], "resolution": [3, 3], "pins": ["corner00"]}
+    over = {**cloth, "position": [0.0, 0.0, 1e-3], "pins": []}  # so near that the two are felt
     ball = {"kind": "sphere", "center": [0.1, 0.1, -0.05], "radius": 0.05}
     s = scene.settings
     settings = {
         "bend": s.bend,
         "adhoc_rule": s.adhoc_rule,
         "altitudes": s.altitudes,
-        "contact": "impulse",
+        "contact": "none" if s.contact == "none" else "impulse",
+        "self_collision": s.self_collision,
         "solver": "cg",
     }
     settings |= {"newton": min(s.newton, 2), "tolerance": 1e-12}  # so that a line search is needed, too
-    small = {"cloth": cloth, "obstacle": [ball] if scene.obstacle else [], "settings": settings}
+    small = {"cloth": [cloth, over], "obstacle": [ball] if scene.obstacle else [], "settings": settings}
     kinds = kinds_in_force(s).values()
     rules = {kernel_of(kind, s) for kind in kinds}
     exact = s.newton > FILTERED
+    touches = s.contact != "none" and s.self_collision != "off"
 
     def needed(kernel: Dispatcher) -> bool:
         module, name = kernel.py_func.__module__, kernel.py_func.__name__
@@ -51,7 +54,11 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
             return exact and module in {"sim.solve.system", *(kind.module for kind in kinds)}
         if module.startswith("sim.springs."):
             return kernel in rules
-        return bool(scene.obstacle) or not module.startswith("sim.contact")
+        if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:
+            return touches
+        if module == "sim.contact.detect":
+            return bool(scene.obstacle)
+        return name != "project" and (bool(scene.obstacle) or touches or not module.startswith("sim.contact"))
 
     with event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress)):
         world = Simulation(small)

@@ -101,33 +101,26 @@ class BroadPhase:
         way -= way.mean(axis=0)  # where all go together they may as well stand still
         tree, room = self.tree, reach + 2.0 * skin * (1.0 + ROUNDING)
         fit(self.surface.faces, tree.begin, tree.end, tree.skip, start, way, room, *self._boxes)
-        lists = [self._room_for_all(find, start, way, room) for find in (_query, _near)]
-        pairs, distance = (np.concatenate(parts) for parts in zip(*lists, strict=True))
-        kind, pair, node = pairs[:, 0].astype(np.int8), pairs[:, 1:3].copy(), pairs[:, 3:].copy()
-        return Candidates(kind, pair, node, distance, start.copy(), end.copy(), skin, reach)
-
-    def _room_for_all(self, find, start: np.ndarray, way: np.ndarray, room: float):
-        """What `find` finds, with as much room as it turns out to need."""
-        counts = np.zeros(CHUNKS, dtype=np.int64)
         while True:
             pairs, distance = (
                 np.empty((CHUNKS, self._room, 7), dtype=np.int32),
                 np.empty((CHUNKS, self._room)),
             )
-            about = self.surface, self.tree, self._role, start, way, room
-            find(*about, *self._boxes, pairs, distance, counts)
-            most = int(counts.max())
+            counts = np.zeros(CHUNKS, dtype=np.int64)
+            about = self.surface, tree, self._role, start, way, room
+            _find(*about, *self._boxes, pairs, distance, counts)
+            most, total = int(counts.max()), int(counts.sum())
             if most <= self._room:
-                found = [slice(0, count) for count in counts]
-                return (
-                    np.concatenate([pairs[c, part] for c, part in enumerate(found)]),
-                    np.concatenate([distance[c, part] for c, part in enumerate(found)]),
-                )
-            if int(counts.sum()) > MOST_CANDIDATES:
+                break
+            if total > MOST_CANDIDATES:
                 raise CandidateError(
-                    f"{int(counts.sum()):,} pairs may touch, and at most {MOST_CANDIDATES:,} are looked at"
+                    f"{total:,} pairs may touch, and at most {MOST_CANDIDATES:,} are looked at"
                 )
             self._room = most + most // 4
+        found = np.concatenate([pairs[chunk, :count] for chunk, count in enumerate(counts)])
+        apart = np.concatenate([distance[chunk, :count] for chunk, count in enumerate(counts)])
+        kind, pair, node = found[:, 0].astype(np.int8), found[:, 1:3].copy(), found[:, 3:].copy()
+        return Candidates(kind, pair, node, apart, start.copy(), end.copy(), skin, reach)
 
 
 @kernel
@@ -167,10 +160,12 @@ def fit(faces, begin, end, skip, start, way, room, boxes, low, high):
 
 
 @parallel_kernel
-def _query(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts):
-    """Find the pairs of elements that are no neighbours."""
+def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts):
+    """Find the pairs of elements that are no neighbours, then those among neighbours.
+
+    Leaves are dealt like cards, as those early in the order have more to compare themselves with.
+    """
     for chunk in numba.prange(CHUNKS):
-        # Leaves are dealt like cards: those early in the order have more to compare themselves with.
         counts[chunk] = _query_leaves(
             surface.faces,
             surface.solid,
@@ -192,6 +187,20 @@ def _query(surface, tree, role, start, way, room, boxes, low, high, pairs, dista
             pairs[chunk],
             distance[chunk],
             chunk,
+        )
+        counts[chunk] = _near_pairs(
+            surface.faces,
+            surface.edges,
+            surface.near_vertices,
+            surface.near_edges,
+            role,
+            start,
+            way,
+            room,
+            pairs[chunk],
+            distance[chunk],
+            chunk,
+            counts[chunk],
         )
 
 
@@ -277,28 +286,10 @@ def _query_leaves(
     return count
 
 
-@parallel_kernel
-def _near(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts):
-    """Find the pairs among neighbours."""
-    for chunk in numba.prange(CHUNKS):
-        counts[chunk] = _near_pairs(
-            surface.faces,
-            surface.edges,
-            surface.near_vertices,
-            surface.near_edges,
-            role,
-            start,
-            way,
-            room,
-            pairs[chunk],
-            distance[chunk],
-            chunk,
-        )
-
-
 @inner
-def _near_pairs(faces, edges, near_vertices, near_edges, role, start, way, room, pairs, distance, chunk):
-    count = 0
+def _near_pairs(
+    faces, edges, near_vertices, near_edges, role, start, way, room, pairs, distance, chunk, count
+):
     part = share(chunk, len(near_vertices))
     for k in range(part[0], part[1]):
         i, f = near_vertices[k, 0], near_vertices[k, 1]

@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+EDGEWISE = 0.1
+"""Part of a normal below which it does not count as lying in the plane that motion is confined to."""
+
 
 class Contacts(NamedTuple):
     """c contacts.
@@ -47,6 +50,29 @@ class Contacts(NamedTuple):
         inverse = np.sum(self.weight**2 * inverse_masses[self.node], axis=1)
         with np.errstate(divide="ignore"):
             return 1.0 / inverse
+
+    def confined(self, axis: int | None, positions: np.ndarray) -> Contacts:
+        """The same for vertices that do not move along `axis` from their `positions` (n, 3) [m].
+
+        What the gap owes to that coordinate stays as it is, and the normal is what remains of it, scaled to a
+        unit vector together with the gap; a contact of which hardly anything remains is left out.
+        """
+        if axis is None or not len(self.key):
+            return self
+        across = self.normal[:, axis]
+        rest = np.sqrt(np.maximum(1.0 - across**2, 0.0))
+        kept = self.only(rest > EDGEWISE)
+        across, rest = across[rest > EDGEWISE], rest[rest > EDGEWISE]
+        still = across * weighted(kept, positions)[:, axis]
+        normal, speed = kept.normal / rest[:, None], kept.speed.copy()
+        normal[:, axis] = speed[:, axis] = 0.0
+        return kept._replace(
+            start=kept.start / rest,
+            normal=normal,
+            offset=(kept.offset - still) / rest,
+            speed=speed,
+            thickness=kept.thickness / rest,
+        )
 
     def only(self, which: np.ndarray | slice) -> Contacts:
         """Those of them that the mask or the indices `which` pick."""

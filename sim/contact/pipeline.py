@@ -63,7 +63,7 @@ class Pipeline:
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
-        self.obstacles = Obstacles(scene, model.mesh.shells)
+        self.obstacles = Obstacles(scene)
         self._model = model
         self._pairs: Pairs | None = None
         self.forget()
@@ -125,10 +125,11 @@ class Pipeline:
         Contacts are looked for where vertices are and on the way that they would take by themselves; then on
         the way that they took, and the step solved again where that led into some.
         """
-        s, report, h, free = way.settings, way.report, way.settings.dt, self._model.free[:, None]
+        s, report, h = way.settings, way.report, way.settings.dt
         if response is not None and response.projects:
             return self._projected(way, pairs)
-        end = way.x + h * (way.v + h * np.asarray(s.gravity) * free)
+        fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
+        end = way.x + h * (way.v + fall)
         with report.phase("detect"):
             near = self._begin(way, pairs)
         if pairs is not None:
@@ -204,13 +205,14 @@ class Pipeline:
         if pairs is None:
             return NO_CONTACTS
         corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
-        return pairs.begin(way.x, *corners, way.settings.dt, way.settings.thickness)
+        near = pairs.begin(way.x, *corners, way.settings.dt, way.settings.thickness)
+        return near.confined(self._model.axis, way.x)
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
         """Pairs that meet on the way to `end`."""
         if pairs is None or way.settings.detection == "static":
             return NO_CONTACTS
-        return pairs.hits(end)
+        return pairs.hits(end).confined(self._model.axis, way.x)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -218,7 +220,8 @@ class Pipeline:
             return NO_CONTACTS
         s = way.settings
         path = way.x, end, self._model.free, s.dt
-        return detect(self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous")
+        about = self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous"
+        return detect(*about).confined(self._model.axis, way.x)
 
     def _gap_springs(
         self,

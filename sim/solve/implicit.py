@@ -92,9 +92,11 @@ def backward_euler(
     Raises:
         SolveError: where the matrix is not positive definite or a number is not finite.
     """
-    free = model.free
     velocities = (start - x_hat) / h
-    guess, shortcut = v_hat - velocities, np.where(free[:, None], h * np.asarray(settings.gravity), 0.0)
+    guess, shortcut = (
+        v_hat - velocities,
+        model.confined(np.broadcast_to(h * np.asarray(settings.gravity), start.shape)),
+    )
     iterations, newton = 0, 0
     while True:
         newton += 1

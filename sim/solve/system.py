@@ -227,6 +227,19 @@ def add_forces(elements, gather, forces):
         forces[i, 2] -= z
 
 
+@kernel
+def confine(matrix, masses, axis, forces):
+    """Take the motion along `axis` out of matrix and forces: nothing drives it, and nothing couples to it."""
+    for i in range(len(masses)):
+        forces[i, axis] = 0.0
+        for r in range(3):
+            matrix.diagonal[i, axis, r] = matrix.diagonal[i, r, axis] = 0.0
+        matrix.diagonal[i, axis, axis] = masses[i]
+        for p in range(matrix.first[i], matrix.first[i + 1]):
+            for r in range(3):
+                matrix.block[p, axis, r] = matrix.block[p, r, axis] = 0.0
+
+
 @inner
 def invert(block, inverse):
     """Fill `inverse` with that of a symmetric positive 3 × 3 `block`."""

@@ -135,7 +135,7 @@ def test_a_run_writes_numbers_hardware_and_versions_as_json(measured, tmp_path, 
     for table in written["tables"]:
         assert table["rows"]
         assert all(len(row) == len(table["columns"]) for row in table["rows"])
-    assert "self-collision" in " ".join(written["notes"])
+    assert "cloth feels cloth" in " ".join(written["notes"])
     assert "Whole steps of Muslin" in page.read_text(encoding="utf-8")
     markdown = text.read_text(encoding="utf-8")
     assert written["date"] in markdown

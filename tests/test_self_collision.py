@@ -1,0 +1,109 @@
+"""Cloth that feels cloth: whole steps, judged by exact intersections and by conservation laws."""
+
+import numpy as np
+import pytest
+
+import sim
+from tests.worlds import ball, chain, grid, scene
+
+EARTH = [0, 0, -9.81]
+
+
+def stack(**settings):
+    """Three sheets that fall on a ball, one on the other."""
+    sheets = [
+        grid(resolution=(14, 14), position=[0, 0, 0.31 + 0.01 * i], rotation=[0, 0, 0.3 * i])
+        for i in range(3)
+    ]
+    return {"cloth": sheets, "obstacle": [ball()], "settings": {"thickness": 4e-3, **settings}}
+
+
+def crumple(**settings):
+    """A sheet that falls on its edge."""
+    cloth = grid(resolution=(16, 16), rotation=[1.3, 0.2, 0.1], position=[0, 0, 0.6])
+    return scene(cloth, {"kind": "plane"}, gravity=EARTH, self_collision="on", **settings)
+
+
+def crossings(world):
+    return len(sim.intersections(world.positions, world.triangles))
+
+
+@pytest.mark.parametrize("made", [stack, crumple])
+def test_impulses_leave_no_edge_across_a_triangle_at_any_step(made):
+    world = sim.Simulation(made())
+    met = 0
+    for _ in range(90):
+        met += world.step().near
+        assert crossings(world) == 0
+    assert met > 100  # it was put to the test
+
+
+def test_without_self_collision_the_same_sheets_pass_through_each_other():
+    world = sim.Simulation(stack(), self_collision="off")
+    assert max(crossings(world) for _ in range(60) if world.step()) > 0
+
+
+def collide(speed, **settings):
+    """A free sheet shot at another that lies askew to it."""
+    sheets = [
+        grid(resolution=(10, 10)),
+        grid(resolution=(10, 10), position=[0.1, 0.05, 0.2], rotation=[0.2, 0.1, 0]),
+    ]
+    world = sim.Simulation({"cloth": sheets, "settings": {"gravity": [0, 0, 0], **settings}})
+    velocities = np.zeros_like(world.positions)
+    velocities[world.pieces == 1, 2] = -speed
+    world.place(world.positions.copy(), velocities)
+    return world
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0])
+def test_an_impact_of_free_sheets_keeps_their_momentum(speed):
+    world = collide(speed)
+    before = world.momentum()[0]
+    met = sum(world.step().near for _ in range(40))
+    assert met > 0
+    assert (
+        np.abs(world.momentum()[0] - before).max() < 1e-10 * np.abs(before).max() * 40
+    )  # per step, relative
+    assert crossings(world) == 0
+
+
+def test_the_bits_do_not_depend_on_the_number_of_threads():
+    ends = []
+    for threads in (1, 2):
+        world = sim.Simulation(stack(threads=threads))
+        for _ in range(30):
+            world.step()
+        ends.append(world.positions.copy())
+    assert (ends[0] == ends[1]).all()
+
+
+def test_confined_to_a_plane_nothing_leaves_it_and_chains_do_not_pass_each_other():
+    """Two chains side by side in the plane y = 0 stay one above the other where they rest on a ball."""
+    x = np.linspace(-0.4, 0.4, 33)
+    low = np.column_stack([x, 0 * x, 0 * x + 0.32])
+    chains = [chain(low, [0.01] * 33), chain(low + np.array([0, 0, 0.05]), [0.01] * 33)]
+    world = sim.Simulation(
+        {
+            "plane": "xz",
+            "cloth": chains,
+            "obstacle": [ball()],
+            "settings": {"thickness": 4e-3, "gravity": EARTH},
+        }
+    )
+    for _ in range(60):
+        world.step()
+        assert (world.positions[:, 1] == 0.0).all()
+    top = np.abs(world.positions[:33, 0]) < 0.1
+    lower, upper = world.positions[:33][top], world.positions[33:][top]
+    assert (np.linalg.norm(upper, axis=1).min() > np.linalg.norm(lower, axis=1)).all()
+
+
+@pytest.mark.parametrize("detection", ["static", "continuous"])
+def test_putting_right_afterwards_keeps_a_sheet_out_of_the_ball(detection):
+    cloth = grid(resolution=(14, 14), position=[0, 0, 0.31])
+    settings = {"contact": "postprocess", "detection": detection, "self_collision": "on"}
+    world = sim.Simulation(scene(cloth, ball(), gravity=EARTH, **settings))
+    reports = [world.step() for _ in range(60)]
+    assert max(r.contacts for r in reports) > 0
+    assert all(r.penetrations == 0 for r in reports)
