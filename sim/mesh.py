@@ -94,6 +94,14 @@ def build_mesh(scene: Scene) -> Mesh:
     )
 
 
+def bare_edges(mesh: Mesh) -> np.ndarray:
+    """(k, 2) int32 edges that are sides of no triangle."""
+    number = np.array([len(mesh.vertices), 1], dtype=np.int64)
+    sides = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+    known, edges = np.sort(sides) @ number, np.sort(mesh.edges) @ number
+    return mesh.edges[~np.isin(edges, known)]
+
+
 def vertex_masses(mesh: Mesh, mass: str, density: float) -> np.ndarray:
     """(n,) masses [kg], all positive.
 

@@ -17,6 +17,7 @@ from msgspec.structs import replace as replaced
 
 from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
+from sim.contact.faces import Faces
 from sim.contact.friction import rub
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
@@ -63,8 +64,10 @@ class Pipeline:
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
-        self.obstacles = Obstacles(scene)
+        self.obstacles = Obstacles(scene, model.mesh.shells)
         self._model = model
+        first_key = len(model.mesh.vertices) * len(self.obstacles.parts)
+        self._faces = Faces(model.mesh, model.free, self.obstacles, first_key)
         self._pairs: Pairs | None = None
         self.forget()
 
@@ -189,8 +192,7 @@ class Pipeline:
         if s.contact == "none" or not (own or len(self.obstacles.solid.vertices)):
             return None
         if self._pairs is None or self._pairs.own != own:
-            first_key = len(mesh.vertices) * max(len(self.obstacles.parts), 1)
-            self._pairs = Pairs(mesh, self._model.free, self.obstacles.solid, own, first_key)
+            self._pairs = Pairs(mesh, self._model.free, self.obstacles.solid, own, self._faces.last_key)
         return self._pairs
 
     def _response(self, settings: Settings) -> Response | None:
@@ -201,18 +203,22 @@ class Pipeline:
         return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), solved=False)
 
     def _begin(self, way: _Way, pairs: Pairs | None) -> Contacts:
-        """Pairs that are nearer than the thickness at the start."""
-        if pairs is None:
-            return NO_CONTACTS
-        corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
-        near = pairs.begin(way.x, *corners, way.settings.dt, way.settings.thickness)
+        """Pairs, and faces and obstacles, that are nearer than they should be at the start."""
+        s, near = way.settings, NO_CONTACTS
+        if s.contact == "none":
+            return near
+        if pairs is not None:
+            corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
+            near = pairs.begin(way.x, *corners, s.dt, s.thickness)
+        near = near.and_also(self._faces.begin(way.x, way.before, way.after, s.dt, s.thickness))
         return near.confined(self._model.axis, way.x)
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
-        """Pairs that meet on the way to `end`."""
-        if pairs is None or way.settings.detection == "static":
+        """Pairs, and faces and obstacles, that meet on the way to `end`."""
+        if way.settings.contact == "none" or way.settings.detection == "static":
             return NO_CONTACTS
-        return pairs.hits(end).confined(self._model.axis, way.x)
+        hits = NO_CONTACTS if pairs is None else pairs.hits(end)
+        return hits.and_also(self._faces.hits(end)).confined(self._model.axis, way.x)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -333,19 +339,20 @@ class Pipeline:
             rub(contacts, s.friction, *push, np.maximum(given - before, 0.0), np.zeros_like(given))
         if not last:
             return None
-        if pairs is not None:
-            self._hold_back(pairs, way, x)
+        self._hold_back(pairs, way, x)
         return contacts, given
 
-    def _hold_back(self, pairs: Pairs, way: _Way, x: np.ndarray) -> None:
+    def _hold_back(self, pairs: Pairs | None, way: _Way, x: np.ndarray) -> None:
         """Let vertices that would still meet something go only as far as nothing can be met; speeds stay."""
         held = np.zeros(len(x), dtype=bool)
         while True:
             with way.report.phase("detect"):
                 hits = self._hits(way, pairs, x)
             which = np.unique(hits.node[(hits.weight != 0.0) & self._model.free[hits.node]])
-            shortened = pairs.shorten(x, which)
+            shortened = len(self._faces.shorten(x, hits))
+            if pairs is not None:
+                shortened += len(pairs.shorten(x, which))
             held[which] = True
-            if not len(shortened):
+            if not shortened:
                 break
         way.report.held_back += int(np.count_nonzero(held))
