@@ -19,12 +19,15 @@ import numpy as np
 from sim.compiled import Vec3, add, dot, inner, kernel, norm, put, row, scale, sub
 from sim.contact.closest import edge_edge, vertex_triangle
 from sim.contact.contacts import NO_CONTACTS, Contacts, make_contacts
-from sim.contact.detect import into_frame, turn
+from sim.contact.detect import SAME_SIDE, into_frame, turn
 from sim.contact.obstacles import ROUNDED, Obstacles, Poses, shape_of
 from sim.mesh import Mesh, bare_edges
 
 CUT = 0.5
 """Part of the thickness that a chord between vertices may cut away."""
+
+REACH = 0.75
+"""Part of the thickness within which a face is felt: one that was let go at CUT would come back at once."""
 
 GAP = 0.1
 """Part of the thickness that continuous detection keeps free on the way."""
@@ -70,11 +73,12 @@ class Faces:
     def begin(self, x: np.ndarray, before: Poses, after: Poses, h: float, thickness: float) -> Contacts:
         """Begin a step of h [s] at `x` (n, 3) [m], and find what is nearer than a part of the thickness."""
         self._step = x, before, after, h, thickness
-        return self._found(x, CUT * thickness, continuous=False)
+        return self._found(x, REACH * thickness, CUT * thickness, continuous=False)
 
     def hits(self, end: np.ndarray) -> Contacts:
         """Contacts of what meets an obstacle before the vertices are at `end` (n, 3) [m]."""
-        return self._found(end, GAP * self._step[-1], continuous=True)
+        gap = GAP * self._step[-1]
+        return self._found(end, gap, AFTER * gap, continuous=True)
 
     def shorten(self, end: np.ndarray, hits: Contacts) -> np.ndarray:
         """Let the faces in `hits` go no farther to `end` than they can without meeting what rests.
@@ -89,14 +93,14 @@ class Faces:
         end[short] = start[short] + part[short, None] * (end - start)[short]
         return short
 
-    def _found(self, end: np.ndarray, gap: float, continuous: bool) -> Contacts:
+    def _found(self, end: np.ndarray, gap: float, keep: float, continuous: bool) -> Contacts:
         if self._nothing:
             return NO_CONTACTS
         start, before, after, h, _ = self._step
         while True:
             found = make_contacts(self._room)
             way = self._shapes, before, after, self._faces, start, end, h
-            count = _sweep(*way, gap, continuous, found)
+            count = _sweep(*way, gap, keep, continuous, found)
             if count <= self._room:
                 break
             self._room = count + count // 4
@@ -112,7 +116,7 @@ def _longest(contacts: Contacts, way: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _sweep(shapes, before, after, faces, start, end, h, gap, continuous, found):
+def _sweep(shapes, before, after, faces, start, end, h, gap, keep, continuous, found):
     """Fill `found` with contacts; return how many there are, even where there is no room for them."""
     count = 0
     a, b = np.empty_like(start), np.empty_like(start)
@@ -122,24 +126,28 @@ def _sweep(shapes, before, after, faces, start, end, h, gap, continuous, found):
             continue
         for i in range(len(start)):
             put(a, i, into_frame(before.position[o], before.rotation[o], row(start, i)))
-            put(
-                b,
-                i,
-                into_frame(after.position[o], after.rotation[o], row(end, i)) if continuous else row(a, i),
-            )
+            put(b, i, into_frame(after.position[o], after.rotation[o], row(end, i)))
         for f in range(len(faces)):
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
             a0, a1, a2, b0, b1, b2 = row(a, i), row(a, j), row(a, k), row(b, i), row(b, j), row(b, k)
-            if _far(shape, a0, a1, a2, b0, b1, b2, gap):
+            if continuous:
+                far = _far(shape, a0, a1, a2, b0, b1, b2, gap)
+            else:
+                far = _far(shape, a0, a1, a2, a0, a1, a2, gap)
+            if far:
                 continue
             touches, apart, w, s, n = _meet(shape, a0, a1, a2, b0, b1, b2, gap, continuous)
             if not touches:
                 continue
+            ahead, p, m, _ = _plane(shape, b0, b1, b2)
+            # it slides on, or the obstacle turns below it: if it ends apart, that plane is nearer the truth
+            if dot(m, n) > SAME_SIDE and _beyond(shape, m, b0, b1, b2) > 0.0:
+                w, s, n = ahead, p, m
             if count < len(found.key):
-                _write(found, count, before, after, o, h, w, s, n)
+                _write(found, count, shape, before, after, o, h, w, s, n)
                 found.key[count] = o * len(faces) + f
                 found.start[count] = apart
-                found.thickness[count] = min(AFTER * gap, apart) if continuous else gap
+                found.thickness[count] = min(keep, apart) if continuous else keep
                 for c in range(3):
                     found.node[count, c] = faces[f, c]
                 if j == k:  # an edge
@@ -150,14 +158,14 @@ def _sweep(shapes, before, after, faces, start, end, h, gap, continuous, found):
 
 
 @inner
-def _write(found, count, before, after, o, h, w, s, n):
-    """Weights, plane and speed of a contact at the point s of obstacle o, with the normal n there."""
+def _write(found, count, shape, before, after, o, h, w, s, n):
+    """Weights, speed and plane of a contact at the point s of obstacle o, which is all behind that plane."""
     normal = turn(after.rotation[o], n)
     was = add(turn(before.rotation[o], s), row(before.position, o))
     now = add(turn(after.rotation[o], s), row(after.position, o))
     put(found.normal, count, normal)
     put(found.speed, count, scale(1.0 / h, sub(now, was)))
-    found.offset[count] = dot(normal, now)
+    found.offset[count] = dot(normal, row(after.position, o)) + _farthest(shape, n)
     for c in range(3):
         found.weight[count, c] = w[c]
 
@@ -230,9 +238,14 @@ def _plane(shape, a, b, c):
 @inner
 def _beyond(shape, n, p, q, r):
     """How far all of p, q and r are beyond the shape's farthest point in the direction n [m]."""
+    return min(dot(n, p), dot(n, q), dot(n, r)) - _farthest(shape, n)
+
+
+@inner
+def _farthest(shape, n):
+    """How far the shape reaches in the direction n [m]."""
     half = shape.half
-    farthest = abs(n.x) * half.x + abs(n.y) * half.y + abs(n.z) * half.z + shape.radius
-    return min(dot(n, p), dot(n, q), dot(n, r)) - farthest
+    return abs(n.x) * half.x + abs(n.y) * half.y + abs(n.z) * half.z + shape.radius
 
 
 @inner

@@ -8,7 +8,7 @@ import trimesh
 import sim
 from sim.contact import faces as module
 from sim.contact.contacts import NO_CONTACTS
-from sim.contact.faces import CUT, GAP, NEAR, ROOM, Faces
+from sim.contact.faces import GAP, NEAR, REACH, ROOM, Faces
 from sim.contact.obstacles import Obstacles
 from sim.mesh import build_mesh
 from sim.placement import pose
@@ -71,7 +71,7 @@ def test_the_nearest_points_are_the_nearest_of_all_pairs_of_features(name):
         if not outside(part, triangle, *pose(part, 0.0)):
             continue
         poses = obstacles.poses(0.0)
-        found = faces.begin(triangle, poses, poses, H, thickness=10.0 / CUT)
+        found = faces.begin(triangle, poses, poses, H, thickness=10.0 / REACH)
         seen += 1
         assert len(found.key) == 1
         assert found.start[0] == pytest.approx(distance(part, triangle, *pose(part, 0.0)), abs=1e-9)
