@@ -90,7 +90,9 @@ class Faces:
         limit = NEARER * hits.start / np.maximum(_longest(hits, end - start), 1e-300)
         np.minimum.at(part, hits.node, np.where(hits.weight != 0.0, limit[:, None], 1.0))
         short = np.flatnonzero(part < 1.0 - 1e-9)
-        end[short] = start[short] + part[short, None] * (end - start)[short]
+        nearer = start[short] + part[short, None] * (end - start)[short]
+        stuck = (nearer == end[short]).all(axis=1)  # a way of an ulp is not halved: it is not gone
+        end[short] = np.where(stuck[:, None], start[short], nearer)
         return short
 
     def _found(self, end: np.ndarray, gap: float, keep: float, continuous: bool) -> Contacts:

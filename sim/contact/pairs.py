@@ -121,7 +121,9 @@ class Pairs:
         way = end[which] - self._start[which]
         part = NEARER * least[which] / np.maximum(np.linalg.norm(way, axis=1), 1e-300)
         short = part < 1.0 - 1e-9  # else it has been shortened before
-        end[which[short]] = self._start[which[short]] + part[short, None] * way[short]
+        nearer = self._start[which[short]] + part[short, None] * way[short]
+        stuck = (nearer == end[which[short]]).all(axis=1)  # a way of an ulp is not halved: it is not gone
+        end[which[short]] = np.where(stuck[:, None], self._start[which[short]], nearer)
         return which[short]
 
     def _listed(self, end: np.ndarray) -> Candidates:
