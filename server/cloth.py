@@ -7,7 +7,7 @@ import viser
 
 from server.palette import INK, STONE, WHITE, Rgb
 from server.shapes import capsule
-from sim.mesh import Mesh
+from sim.mesh import Mesh, bare_edges
 
 THREAD, BALL = 0.012, 0.018
 """Thickness of a strand and radius of the balls on it, as shares of the scene's scale."""
@@ -20,14 +20,6 @@ BALL_DETAIL = 8
 
 PIN = 0.012
 """Size [m] of the dots on pinned vertices of a sheet."""
-
-
-def bare_edges(mesh: Mesh) -> np.ndarray:
-    """(k, 2) edges that are sides of no triangle."""
-    number = np.array([len(mesh.vertices), 1], dtype=np.int64)
-    sides = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
-    known, edges = np.sort(sides) @ number, np.sort(mesh.edges) @ number
-    return mesh.edges[~np.isin(edges, known)]
 
 
 def bare_vertices(mesh: Mesh) -> np.ndarray:

@@ -7,7 +7,9 @@ from typing import TypeGuard
 import numpy as np
 
 from sim.mesh import Mesh, vertex_masses
-from sim.scene import Box, Capsule, Plane, Scene, Sphere
+from sim.placement import upright
+from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
+from sim.shells import Shell
 
 GAP = 0.04
 """Room between neighbours, as a share of the scene's own width."""
@@ -45,7 +47,7 @@ class Framing:
     def __init__(self, scene: Scene, mesh: Mesh, count: int):
         down = downward(scene)
         way = [mesh.vertices, hanging(mesh, (1.0 + droop(scene, mesh)) * down), swung(mesh, down)]
-        points = np.concatenate([*way, *map(obstacle_corners, scene.obstacle)])
+        points = np.concatenate([*way, *map(obstacle_corners, scene.obstacle, mesh.shells)])
         self.size = float(np.ptp(points, axis=0).max()) or NO_SIZE
         self._low, self._high = points.min(axis=0), points.max(axis=0)
         self._toward = self._view_direction(scene)
@@ -153,9 +155,12 @@ def swung(mesh: Mesh, down: np.ndarray) -> np.ndarray:
     return np.concatenate(points)
 
 
-def obstacle_corners(obstacle: Sphere | Plane | Box | Capsule) -> np.ndarray:
+def obstacle_corners(obstacle: Obstacle, shell: Shell | None = None) -> np.ndarray:
     """(k, 3) points [m] that bound what an obstacle fills, along its path; none for a plane."""
-    reference = np.array(obstacle.reference)
+    if shell is not None:
+        stands = shell.vertices @ upright(obstacle).T
+        low, high = stands.min(axis=0), stands.max(axis=0)
+        return np.concatenate([[place + low, place + high] for place in _places(obstacle)])
     match obstacle:
         case Sphere(radius=radius):
             half = np.full(3, radius)
@@ -165,11 +170,16 @@ def obstacle_corners(obstacle: Sphere | Plane | Box | Capsule) -> np.ndarray:
             half = np.abs(np.subtract(end, start)) / 2 + radius
         case _:
             return np.empty((0, 3))
-    places = [reference, *(np.array(key.position) for key in obstacle.path if key.position is not None)]
-    return np.concatenate([[place - half, place + half] for place in places])
+    return np.concatenate([[place - half, place + half] for place in _places(obstacle)])
 
 
-def is_floor(obstacle: Sphere | Plane | Box | Capsule) -> TypeGuard[Plane]:
+def _places(obstacle: Obstacle) -> list[np.ndarray]:
+    """Where the reference point of an obstacle gets to [m]."""
+    keyed = (np.array(key.position) for key in obstacle.path if key.position is not None)
+    return [np.array(obstacle.reference), *keyed]
+
+
+def is_floor(obstacle: Obstacle) -> TypeGuard[Plane]:
     """Whether an obstacle is a plane that the drawn ground can stand for."""
     upright = isinstance(obstacle, Plane) and obstacle.normal[2] > 0.999 * np.linalg.norm(obstacle.normal)
     return bool(upright and not obstacle.path)

@@ -10,7 +10,9 @@ import math
 
 import numpy as np
 
-from sim.scene import Box, Capsule, Plane, Sphere
+from sim.placement import upright
+from sim.scene import Box, Capsule, Obstacle, Plane, Sphere
+from sim.shells import Shell
 
 DETAIL = 24
 """How finely round shapes are drawn: rings from the middle to a pole, and half the points of a ring."""
@@ -19,8 +21,10 @@ PLANE_SIZE = 1.6
 """Side [m] of the square that stands for an infinite plane."""
 
 
-def obstacle_mesh(obstacle: Sphere | Plane | Box | Capsule) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3) float32 [m] and triangles (m, 3), wound outward."""
+def obstacle_mesh(obstacle: Obstacle, shell: Shell | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) float32 [m] and triangles (m, 3), wound outward; a `shell` as it is."""
+    if shell is not None:
+        return shell.vertices.astype(np.float32), shell.triangles
     match obstacle:
         case Sphere(radius=radius):
             return capsule(np.zeros(3), radius)
@@ -33,14 +37,14 @@ def obstacle_mesh(obstacle: Sphere | Plane | Box | Capsule) -> tuple[np.ndarray,
     raise TypeError(f"no shape for an obstacle of type {type(obstacle).__name__}")
 
 
-def standing(obstacle: Sphere | Plane | Box | Capsule) -> np.ndarray:
+def standing(obstacle: Obstacle) -> np.ndarray:
     """Rotation matrix from an obstacle's own frame to the world before its path turns it."""
     match obstacle:
         case Capsule(start=start, end=end):
             return frame_along(np.subtract(end, start))
         case Plane(normal=normal):
             return frame_along(np.array(normal, float))
-    return np.eye(3)
+    return upright(obstacle)
 
 
 def frame_along(axis: np.ndarray) -> np.ndarray:

@@ -143,18 +143,20 @@ class Place:
         )
         self._cloth = draw_cloth(api, root, mesh, color, framing.scale)
         self._moving = {}
-        for k, obstacle in enumerate(scene.obstacle):
+        for k, (obstacle, shell) in enumerate(zip(scene.obstacle, mesh.shells, strict=True)):
             if is_floor(obstacle):
                 continue
-            vertices, triangles = obstacle_mesh(obstacle)
+            vertices, triangles = obstacle_mesh(obstacle, shell)
+            flat = isinstance(obstacle, Plane) or (shell is not None and shell.open_edges > 0)
             solid = api.add_mesh_simple(
                 f"{root}/obstacle{k}",
                 vertices,
                 triangles,
                 color=STONE.toward(WHITE, 0.35),
-                side="double" if isinstance(obstacle, Plane) else "front",
+                side="double" if flat else "front",
                 position=obstacle.reference,
                 wxyz=quaternion(standing(obstacle)),
+                flat_shading=shell is not None,
                 receive_shadow=False,
             )
             if obstacle.path:

@@ -3,21 +3,24 @@
 The flexible collision library measures solid spheres, boxes and capsules against triangles exactly, and knows
 nothing of our own contact code, which makes it a second opinion. It is used here, once per load, and nowhere
 in a step. A plane's distance is taken in closed form: fcl's distance query crashes the process when given a
-half-space, though its collision query handles one well. Not measured: cloth against cloth, and cloth without
-triangles.
+half-space, though its collision query handles one well. A mesh is a shell to fcl; whether a closed one goes
+round something that it does not meet is asked of the shell itself. Not measured: cloth against cloth, and
+cloth without triangles.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import statistics
 
 import fcl
 import numpy as np
 
 from sim.mesh import Mesh
 from sim.placement import pose
-from sim.scene import Box, Obstacle, Plane, Scene, Sphere
+from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
+from sim.shells import Shell
 
 TOUCH = 1e-6
 """Obstacles that reach into each other by less than this [m] merely stand on one another."""
@@ -33,37 +36,93 @@ def clearance_warnings(mesh: Mesh, scene: Scene) -> list[str]:
         mesh: The cloth of the scene where it starts.
         scene: The scene; obstacles are taken where they are at time 0.
     """
-    names = [_name(i, obstacle) for i, obstacle in enumerate(scene.obstacle)]
-    solids = [_solid(obstacle) for obstacle in scene.obstacle]
+    bodies = [_Body(i, *pair) for i, pair in enumerate(zip(scene.obstacle, mesh.shells, strict=True))]
     warnings: list[str] = []
     for piece in range(len(scene.cloth)):
         corners = mesh.triangles[mesh.pieces[mesh.triangles[:, 0]] == piece]
         if len(corners):
-            shell = _shell(mesh.vertices, corners)
-            for name, obstacle, solid in zip(names, scene.obstacle, solids, strict=True):
-                gap = _gap(shell, mesh.vertices[corners.ravel()], obstacle, solid)
-                warnings += _too_near(f"cloth[{piece}]", name, gap, scene.settings.thickness)
-    for i, j in itertools.combinations(range(len(solids)), 2):
-        if depth(solids[i], solids[j]) > TOUCH:
-            warnings.append(f"{names[i]} and {names[j]} overlap")
+            cloth = fcl.CollisionObject(_triangles(mesh.vertices, corners), fcl.Transform())
+            for body in bodies:
+                gap = _gap(cloth, mesh.vertices[corners.ravel()], body)
+                warnings += _too_near(f"cloth[{piece}]", body.name, gap, scene.settings.thickness)
+    for one, other in itertools.combinations(bodies, 2):
+        if _overlap(one, other):
+            warnings.append(f"{one.name} and {other.name} overlap")
     return warnings
 
 
-def depth(one: fcl.CollisionObject, other: fcl.CollisionObject) -> float:
-    """How far two solids reach into each other [m], at most; zero where they do not."""
+class _Body:
+    """An obstacle as fcl knows it, where it is at time 0."""
+
+    def __init__(self, i: int, part: Obstacle, shell: Shell | None) -> None:
+        kind = type(part).__name__.lower() if shell is None else "mesh"
+        self.name = f'obstacle[{i}] ({kind} "{part.name}")' if part.name else f"obstacle[{i}] ({kind})"
+        self.part, self.shell = part, shell
+        self.position, self.rotation = pose(part, 0.0)
+        self.normal = self.rotation[:, 2].copy()
+        self.solid = self._solid()
+
+    def _solid(self) -> fcl.CollisionObject:
+        if isinstance(self.part, Plane):
+            half_space = fcl.Halfspace(self.normal, float(self.normal @ self.position))
+            return fcl.CollisionObject(half_space, fcl.Transform())
+        if isinstance(self.part, Sphere):
+            shape = fcl.Sphere(self.part.radius)
+        elif isinstance(self.part, Box):
+            shape = fcl.Box(*self.part.size)
+        elif isinstance(self.part, Capsule):
+            shape = fcl.Capsule(self.part.radius, math.dist(self.part.start, self.part.end))
+        else:
+            assert self.shell is not None
+            shape = _triangles(self.shell.vertices, self.shell.triangles)
+        return fcl.CollisionObject(shape, fcl.Transform(self.rotation, self.position))
+
+    def heights(self, points: np.ndarray) -> np.ndarray:
+        """(n,) heights of points (n, 3) above a plane [m]."""
+        return (points - self.position) @ self.normal
+
+    def encloses(self, point: np.ndarray) -> bool:
+        """Whether this is a closed shell round a point (3,) of the world."""
+        if self.shell is None or self.shell.open_edges:
+            return False
+        return self.shell.encloses((point - self.position) @ self.rotation)
+
+    def somewhere(self) -> np.ndarray:
+        """(k, 3) points of the world that the obstacle holds: all corners of a shell, or its middle [m]."""
+        if self.shell is None:
+            return self.position[None]
+        return self.shell.vertices @ self.rotation.T + self.position
+
+
+def _overlap(one: _Body, other: _Body) -> bool:
+    """Whether two obstacles reach into each other, or one is inside the other."""
+    for plane, body in ((one, other), (other, one)):
+        if isinstance(plane.part, Plane) and body.shell is not None:
+            return bool(plane.heights(body.somewhere()).min() < -TOUCH)
+    if depth(one.solid, other.solid, shells=one.shell is not None and other.shell is not None) > TOUCH:
+        return True
+    return any(a.encloses(b.somewhere()[0]) for a, b in ((one, other), (other, one)))
+
+
+def depth(one: fcl.CollisionObject, other: fcl.CollisionObject, shells: bool = False) -> float:
+    """How far two solids reach into each other [m], at most; zero where they do not.
+
+    Of two shells it is what most of the pairs of triangles say that meet: fcl gives the length of a side for
+    some that lie in one plane. Of a sphere and a shell it gives depths with the other sign.
+    """
     result = fcl.CollisionResult()
     fcl.collide(one, other, fcl.CollisionRequest(num_max_contacts=16, enable_contact=True), result)
-    return max((contact.penetration_depth for contact in result.contacts), default=0.0)
+    depths = [abs(contact.penetration_depth) for contact in result.contacts] or [0.0]
+    return statistics.median(depths) if shells else max(depths)
 
 
-def _gap(
-    shell: fcl.CollisionObject, points: np.ndarray, obstacle: Obstacle, solid: fcl.CollisionObject
-) -> float:
-    """Least distance [m] of the shell from the solid, zero or less where they meet."""
-    if isinstance(obstacle, Plane):
-        normal, point = _plane_now(obstacle)
-        return float(((points - point) @ normal).min())
-    return float(fcl.distance(shell, solid, fcl.DistanceRequest(), fcl.DistanceResult()))
+def _gap(cloth: fcl.CollisionObject, points: np.ndarray, body: _Body) -> float:
+    """Least distance [m] of cloth from the obstacle, zero or less where they meet."""
+    if isinstance(body.part, Plane):
+        return float(body.heights(points).min())
+    if body.encloses(points[0]):
+        return 0.0
+    return float(fcl.distance(cloth, body.solid, fcl.DistanceRequest(), fcl.DistanceResult()))
 
 
 def _too_near(cloth: str, obstacle: str, gap: float, thickness: float) -> list[str]:
@@ -74,35 +133,9 @@ def _too_near(cloth: str, obstacle: str, gap: float, thickness: float) -> list[s
     return []
 
 
-def _name(i: int, obstacle: Obstacle) -> str:
-    kind = type(obstacle).__name__.lower()
-    return f'obstacle[{i}] ({kind} "{obstacle.name}")' if obstacle.name else f"obstacle[{i}] ({kind})"
-
-
-def _shell(vertices: np.ndarray, triangles: np.ndarray) -> fcl.CollisionObject:
+def _triangles(vertices: np.ndarray, triangles: np.ndarray) -> fcl.BVHModel:
     model = fcl.BVHModel()
     model.beginModel(len(vertices), len(triangles))
     model.addSubModel(vertices, triangles)
     model.endModel()
-    return fcl.CollisionObject(model, fcl.Transform())
-
-
-def _solid(obstacle: Obstacle) -> fcl.CollisionObject:
-    """The obstacle as fcl knows it, where it is at time 0."""
-    if isinstance(obstacle, Plane):
-        normal, point = _plane_now(obstacle)
-        return fcl.CollisionObject(fcl.Halfspace(normal, float(normal @ point)), fcl.Transform())
-    position, rotation = pose(obstacle, 0.0)
-    if isinstance(obstacle, Sphere):
-        shape = fcl.Sphere(obstacle.radius)
-    elif isinstance(obstacle, Box):
-        shape = fcl.Box(*obstacle.size)
-    else:
-        shape = fcl.Capsule(obstacle.radius, math.dist(obstacle.start, obstacle.end))
-    return fcl.CollisionObject(shape, fcl.Transform(rotation, position))
-
-
-def _plane_now(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normal and a point of the plane at time 0."""
-    point, rotation = pose(plane, 0.0)
-    return rotation[:, 2].copy(), point
+    return model

@@ -52,6 +52,8 @@ def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
     words = f"ran: {report.contacts} contacts" if report.contacts else "ran: nothing within reach"
     if report.substeps > 1:
         words += f"; in {report.substeps} parts, as impulses alone did not untangle it"
+    if report.pinched:
+        words += f"; pinched: obstacles leave {report.pinched} vertices less room than the thickness"
     if report.held_back:
         words += f"; {report.held_back} vertices held back from what they would have met"
     return words

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from sim import given
 from sim.repair import repair_triangles
 from sim.rotation import rotation_matrix
 from sim.scene import MAX_VERTICES, Arrays, Equilateral, Grid, MeshFile, Scene, SceneError
+from sim.shells import Shell, read_shells
 
 RIBBON_WIDTH = 0.01
 """Edges outside any triangle weigh like a ribbon of this width [m]."""
@@ -22,7 +23,9 @@ RIBBON_WIDTH = 0.01
 
 @dataclass(frozen=True)
 class Mesh:
-    """All cloth of a scene as one set of arrays. Index arrays are int32, the rest float64.
+    """All cloth of a scene as one set of arrays, and its obstacles that are meshes.
+
+    Index arrays are int32, the rest float64.
 
     Attributes:
         vertices: (n, 3) start positions [m].
@@ -36,6 +39,7 @@ class Mesh:
         axis: the coordinate that no vertex moves along, None where all may.
         density: (pieces,) mass per area [kg/m²], nan where the setting rules.
         given_masses: (n,) masses [kg] given explicitly, nan elsewhere.
+        shells: the triangles of each obstacle of the scene, None for those that are no meshes.
         warnings: what was repaired or left out, one line each.
     """
 
@@ -49,6 +53,7 @@ class Mesh:
     axis: int | None
     density: np.ndarray
     given_masses: np.ndarray
+    shells: tuple[Shell | None, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -58,7 +63,7 @@ class Mesh:
 
 
 def build_mesh(scene: Scene) -> Mesh:
-    """The mesh of all cloth of `scene`; raises SceneError for arrays or files that are no mesh."""
+    """The meshes of `scene`; raises SceneError for arrays or files that are none."""
     pieces = [
         _piece(cloth, f"{scene.source}: cloth[{i}]", scene.folder) for i, cloth in enumerate(scene.cloth)
     ]
@@ -69,12 +74,13 @@ def build_mesh(scene: Scene) -> Mesh:
     triangles = np.concatenate([p.triangles + f for p, f in zip(pieces, first, strict=False)])
     extra = np.concatenate([p.edges + f for p, f in zip(pieces, first, strict=False)])
     hinges, hinge_warnings = _hinges(triangles, total)
+    shells, shell_warnings = read_shells(scene)
     densities = [cloth.density for cloth in scene.cloth]
     return Mesh(
         vertices=np.concatenate([p.vertices for p in pieces]),
         rest_vertices=np.concatenate([p.rest for p in pieces]),
         triangles=triangles.astype(np.int32),
-        edges=_edges(triangles, extra, total),
+        edges=distinct_edges(triangles, extra, total),
         hinges=hinges,
         pieces=np.repeat(np.arange(len(pieces), dtype=np.int32), np.diff(first)),
         pinned=np.unique(np.concatenate([p.pins + f for p, f in zip(pieces, first, strict=False)])).astype(
@@ -83,8 +89,17 @@ def build_mesh(scene: Scene) -> Mesh:
         axis=None if scene.plane is None else "xyz".index(({*"xyz"} - {*scene.plane}).pop()),
         density=np.array([np.nan if d is None else d for d in densities]),
         given_masses=np.concatenate([p.masses for p in pieces]),
-        warnings=tuple(w for p in pieces for w in p.warnings) + hinge_warnings,
+        shells=shells,
+        warnings=tuple(w for p in pieces for w in p.warnings) + hinge_warnings + shell_warnings,
     )
+
+
+def bare_edges(mesh: Mesh) -> np.ndarray:
+    """(k, 2) int32 edges that are sides of no triangle."""
+    number = np.array([len(mesh.vertices), 1], dtype=np.int64)
+    sides = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+    known, edges = np.sort(sides) @ number, np.sort(mesh.edges) @ number
+    return mesh.edges[~np.isin(edges, known)]
 
 
 def vertex_masses(mesh: Mesh, mass: str, density: float) -> np.ndarray:
@@ -217,19 +232,13 @@ def _read(cloth: MeshFile, where: str, folder: str) -> tuple[np.ndarray, np.ndar
 
 
 def _arrays(cloth: Arrays, where: str):
-    points = _numbers(cloth.vertices, 3, f"{where}.vertices")
+    points = given.points(cloth.vertices, f"{where}.vertices")
     n = len(points)
-    if n == 0:
-        raise SceneError(f"{where}.vertices: expected at least one vertex, got none")
-    triangles = _indices(cloth.triangles, 3, n, f"{where}.triangles")
-    edges = _indices(cloth.edges, 2, n, f"{where}.edges")
-    if np.abs(points).max() > 1e4:
-        raise SceneError(
-            f"{where}.vertices: expected coordinates within ±1e4 m, got {np.abs(points).max():g}"
-        )
+    triangles = given.indices(cloth.triangles, 3, n, f"{where}.triangles")
+    edges = given.indices(cloth.edges, 2, n, f"{where}.edges")
     masses = None
     if cloth.masses is not None:
-        masses = _numbers(cloth.masses, 0, f"{where}.masses")
+        masses = given.numbers(cloth.masses, 0, f"{where}.masses")
         if len(masses) != n:
             raise SceneError(f"{where}.masses: expected {n} masses, got {len(masses)}")
         if not (masses > 0).all():
@@ -237,48 +246,10 @@ def _arrays(cloth: Arrays, where: str):
             raise SceneError(f"{where}.masses[{row}]: expected > 0 kg, got {masses[row]:g}")
     rest = None
     if cloth.rest_vertices is not None:
-        rest = _numbers(cloth.rest_vertices, 3, f"{where}.rest_vertices")
+        rest = given.points(cloth.rest_vertices, f"{where}.rest_vertices")
         if len(rest) != n:
             raise SceneError(f"{where}.rest_vertices: expected {n} rows, got {len(rest)}")
-        _near(rest, f"{where}.rest_vertices")
     return points, triangles, edges, masses, rest
-
-
-def _near(points: np.ndarray, where: str) -> None:
-    if np.abs(points).max() > 1e4:
-        raise SceneError(f"{where}: expected coordinates within ±1e4 m, got {np.abs(points).max():g}")
-
-
-def _numbers(value: Any, width: int, where: str) -> np.ndarray:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{where}: expected numbers, got {error}") from None
-    shape = f"(n, {width})" if width else "(n,)"
-    if array.ndim != (2 if width else 1) or (width and array.shape[1] != width):
-        raise SceneError(f"{where}: expected an array of shape {shape}, got {array.shape}")
-    finite = np.isfinite(array)
-    if not finite.all():
-        row = int(np.argwhere(~finite)[0][0])
-        raise SceneError(f"{where}[{row}]: expected finite numbers, got {array[row].tolist()}")
-    return array
-
-
-def _indices(value: Any, width: int, n: int, where: str) -> np.ndarray:
-    if value is None or np.size(value) == 0:
-        return np.zeros((0, width), dtype=np.int64)
-    array = _numbers(value, width, where)
-    wrong = (array != np.floor(array)) | (array < 0) | (array >= n)
-    ordered = np.sort(array, axis=1)
-    repeated = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
-    for bad, reason in (
-        (wrong.any(axis=1), f"vertex indices from 0 to {n - 1}"),
-        (repeated, "distinct vertices"),
-    ):
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise SceneError(f"{where}[{row}]: expected {reason}, got {array[row].tolist()}")
-    return array.astype(np.int64)
 
 
 def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: str) -> np.ndarray:
@@ -296,7 +267,7 @@ def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: st
     return np.concatenate(found)
 
 
-def _edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarray:
+def distinct_edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarray:
     sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]], extra])
     low, high = sides.min(axis=1), sides.max(axis=1)
     _, first = np.unique(low * n + high, return_index=True)

@@ -14,12 +14,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from sim.given import FARTHEST
 from sim.meshclaims import MAX_TRIANGLES, declared_counts, mesh_bytes, mesh_path
 from sim.repair import repair_triangles, used_vertices
 from sim.scene import MAX_VERTICES
-
-FARTHEST = 1e4
-"""Coordinates beyond this [m] are refused: at that size a millimetre is lost in rounding."""
 
 SMALLEST = 1e-4
 """Meshes smaller than this [m] are refused."""

@@ -11,16 +11,19 @@ import math
 import numpy as np
 
 from sim.rotation import rotation_matrix
-from sim.scene import Capsule, Key, Obstacle, Plane
+from sim.scene import Capsule, Key, Obstacle, Plane, ShellArrays, ShellFile
 
 
 def pose(part: Obstacle, time: float) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) [m] of the reference point and rotation (3, 3) from the own frame, at `time` [s]."""
     position, turn = _on_path(part, time)
-    return position, rotation_matrix(turn) @ _upright(part)
+    return position, rotation_matrix(turn) @ upright(part)
 
 
-def _upright(part: Obstacle) -> np.ndarray:
+def upright(part: Obstacle) -> np.ndarray:
+    """Rotation (3, 3) from the own frame to the world, before a path turns it."""
+    if isinstance(part, ShellFile | ShellArrays):
+        return rotation_matrix(part.rotation)
     if isinstance(part, Plane):
         return _turn_z_to(np.asarray(part.normal))
     if isinstance(part, Capsule):

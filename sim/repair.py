@@ -11,6 +11,9 @@ import numpy as np
 NO_AREA = 1e-12
 """Triangles smaller than this share of the squared size of the mesh have no direction to speak of."""
 
+PINS = "; pins count the others"
+"""What a missing vertex means to cloth."""
+
 
 def repair_triangles(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Leave out useless triangles and wind neighbours alike.
@@ -37,9 +40,7 @@ def used_vertices(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarr
     if not left_out:
         return vertices, triangles, []
     number = np.cumsum(used) - 1
-    warning = (
-        f"left out {_count(left_out, 'vertex', 'vertices')} that no triangle uses; pins count the others"
-    )
+    warning = f"left out {_count(left_out, 'vertex', 'vertices')} that no triangle uses{PINS}"
     return vertices[used], number[triangles], [warning]
 
 

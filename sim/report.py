@@ -42,6 +42,8 @@ class StepReport:
         thickness: That cloth had against cloth [m]; no more than a part of a typical edge.
         hits: Pairs that continuous detection found to meet, summed over its rounds.
         held_back: Vertices that had to be held back, as no impulse led them past what they would have met.
+        failsafes: Parts of the step in which that happened.
+        pinched: Vertices between obstacles that leave them less room than the thickness on both sides.
         substeps: Parts that the step was done in.
         integrator: What took the step: the setting, or what stood in for it.
         effects: Each effect and whether it ran, or why not.
@@ -65,6 +67,8 @@ class StepReport:
     thickness: float = 0.0
     hits: int = 0
     held_back: int = 0
+    failsafes: int = 0
+    pinched: int = 0
     substeps: int = 1
     integrator: str = ""
     effects: dict[str, str] = field(default_factory=dict)

@@ -23,7 +23,7 @@ SCENES = Path(__file__).resolve().parent.parent / "static_scenes"
 """The folder of the scenes that come with Muslin."""
 
 MAX_VERTICES = 200_000
-"""Cloth larger than this is refused before anything is allocated for it."""
+"""Larger cloth, or larger meshes of obstacles, are refused before anything is allocated for them."""
 
 MAX_BYTES = 1_000_000
 """Scene files larger than this are refused before they are read; meshes go into files of their own."""
@@ -37,6 +37,7 @@ Rotation = tuple[Turn, Turn, Turn]
 Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Length = Annotated[float, Meta(ge=1e-4, le=1e3)]
+Scale = Annotated[float, Meta(ge=1e-6, le=1e6)]
 Count = Annotated[int, Meta(ge=2, le=2000)]
 Density = Annotated[float, Meta(ge=1e-4, le=1e3)]
 
@@ -87,7 +88,7 @@ class MeshFile(_Cloth, kw_only=True, tag="mesh"):
     """A triangle mesh from a file (.obj, .ply, .stl, .off) beside the scene file."""
 
     file: str
-    scale: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
+    scale: Scale = 1.0
 
 
 class Arrays(_Cloth, kw_only=True, tag="arrays"):
@@ -170,8 +171,36 @@ class Capsule(_Obstacle, kw_only=True, tag="capsule"):
         return (a + d) / 2, (b + e) / 2, (c + f) / 2
 
 
+class _Shell(_Obstacle, kw_only=True):
+    """A surface of triangles, closed or open; its reference point is the mesh's origin."""
+
+    position: Point = (0.0, 0.0, 0.0)
+    """Where the origin of the mesh is put."""
+    rotation: Rotation = (0.0, 0.0, 0.0)
+    """Rotation vector, applied about that point, before what a path adds."""
+
+    @property
+    def reference(self) -> Vector:
+        """The point that a path moves and about which it turns."""
+        return self.position
+
+
+class ShellFile(_Shell, kw_only=True, tag="mesh"):
+    """A triangle mesh from a file, read as that of a cloth is."""
+
+    file: str
+    scale: Scale = 1.0
+
+
+class ShellArrays(_Shell, kw_only=True, tag="arrays"):
+    """A triangle mesh as arrays, for scenes made in code."""
+
+    vertices: Any
+    triangles: Any
+
+
 Cloth = Grid | Equilateral | MeshFile | Arrays
-Obstacle = Sphere | Plane | Box | Capsule
+Obstacle = Sphere | Plane | Box | Capsule | ShellFile | ShellArrays
 
 
 class Lesson(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -277,6 +306,8 @@ def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:
 def _checked(table: dict[str, Any], where: str, name: str) -> Scene:
     table = {**table, "name": table.get("name", name)}
     table["cloth"] = _cloth_list(table.get("cloth", []), where)
+    if isinstance(table.get("obstacle"), list):
+        table["obstacle"] = [_kind_of_arrays(obstacle) for obstacle in table["obstacle"]]
     table["settings"] = _settings(table.get("settings", {}), where)
     try:
         scene = msgspec.convert(table, Scene)
@@ -291,7 +322,11 @@ def _cloth_list(cloth: Any, where: str) -> list[Any]:
     cloth = cloth if isinstance(cloth, list) else [cloth]
     if not cloth:
         raise SceneError(f"{where}: cloth: expected at least one piece, got none")
-    return [{"kind": "arrays", **c} if isinstance(c, dict) and "vertices" in c else c for c in cloth]
+    return [_kind_of_arrays(piece) for piece in cloth]
+
+
+def _kind_of_arrays(part: Any) -> Any:
+    return {"kind": "arrays", **part} if isinstance(part, dict) and "vertices" in part else part
 
 
 def _settings(table: Any, where: str) -> Settings:

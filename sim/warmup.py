@@ -14,7 +14,7 @@ from numba.core.dispatcher import Dispatcher
 
 from sim.compiled import KERNELS
 from sim.contact.gap import NO_GAP_SPRINGS
-from sim.scene import Scene
+from sim.scene import Scene, ShellArrays, ShellFile
 from sim.simulation import Simulation
 from sim.solve.implicit import FILTERED
 from sim.springs.build import kernel_of, kinds_in_force
@@ -42,11 +42,14 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         "solver": "cg",
     }
     settings |= {"newton": min(s.newton, 2), "tolerance": 1e-12}  # so that a line search is needed, too
-    small = {"cloth": [cloth, over], "obstacle": [ball] if scene.obstacle else [], "settings": settings}
+    meshes = any(isinstance(part, ShellFile | ShellArrays) for part in scene.obstacle)
+    under = {"vertices": [[0, 0, -1e-3], [0.1, 0, -1e-3], [0, 0.1, -1e-3]], "triangles": [[0, 1, 2]]}
+    obstacles = [ball] * bool(scene.obstacle) + [under] * meshes
+    small = {"cloth": [cloth, over], "obstacle": obstacles, "settings": settings}
     kinds = kinds_in_force(s).values()
     rules = {kernel_of(kind, s) for kind in kinds}
     exact = s.newton > FILTERED
-    touches = s.contact != "none" and s.self_collision != "off"
+    touches = s.contact != "none" and (s.self_collision != "off" or meshes)
 
     def needed(kernel: Dispatcher) -> bool:
         module, name = kernel.py_func.__module__, kernel.py_func.__name__
@@ -56,7 +59,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
             return kernel in rules
         if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:
             return touches
-        if module == "sim.contact.detect":
+        if module in {"sim.contact.detect", "sim.contact.faces"}:
             return bool(scene.obstacle)
         return name != "project" and (bool(scene.obstacle) or touches or not module.startswith("sim.contact"))
 

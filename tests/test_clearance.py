@@ -1,11 +1,14 @@
 """Clearance at load: fcl's answers against closed forms, and what `check` says of them."""
 
+import ipctk
 import numpy as np
 import pytest
+import trimesh
 
 from sim.check import check_scene
 from sim.clearance import clearance_warnings
 from sim.mesh import build_mesh
+from sim.rotation import rotation_matrix
 from sim.scene import load_scene
 
 FCL = 2e-5  # GJK between a box or capsule and a triangle stops at about a hundredth of a millimetre
@@ -130,3 +133,99 @@ def test_check_counts_slivers():
     vertices = [[0, 0, 0], [1, 0, 0], [0.5, 0.005, 0], [0.5, 1, 0]]
     scene = load_scene({"cloth": {"vertices": vertices, "triangles": [[0, 1, 2], [0, 2, 3]]}})
     assert check_scene(scene)[1] == ["1 triangle has an angle below 1°"]
+
+
+# Meshes
+
+
+def shells():
+    """A closed mesh of each of these shapes, around the origin and half a metre high in all."""
+    return {
+        "box": trimesh.creation.box((0.6, 0.4, 0.5)),
+        "torus": trimesh.creation.torus(0.4, 0.25, major_sections=10, minor_sections=8),
+        "ball": trimesh.creation.icosphere(1, 0.25),
+        "needle": trimesh.creation.cone(0.05, 0.5, sections=5).apply_translation([0, 0, -0.25]),
+    }
+
+
+def of_mesh(shape, **more):
+    body = shells()[shape]
+    return {"name": "it", "vertices": body.vertices.tolist(), "triangles": body.faces.tolist(), **more}
+
+
+@pytest.mark.parametrize("name", shells())
+@pytest.mark.parametrize("gap", [0.003, 0.05])
+def test_the_distance_of_cloth_and_a_mesh_is_what_ipctk_measures(name, gap):
+    """Cloth lies askew above the mesh, and is lowered by what is left: the way down is never shorter."""
+    part = of_mesh(name, position=[0.1, 0.05, 0.0], rotation=[0.3, -0.2, 0.5])
+    place = {"rotation": [0.1, 0.2, 0.0], "position": [0, 0, 0.8]}
+    left = 0.0
+    for _ in range(4):
+        place["position"][2] -= left
+        mesh = build_mesh(load_scene({"cloth": {**SHEET, **place}, "obstacle": [part]}))
+        left = ipctk_distance(mesh, part) - gap
+    gap += left
+    assert warnings(part, thickness=gap - EXACT, **place) == []
+    said = f'cloth[0] starts {gap:.2g} m from obstacle[0] (mesh "it"), nearer than'
+    assert [w.startswith(said) for w in warnings(part, thickness=gap + EXACT, **place)] == [True]
+
+
+EXACT = 1e-12  # fcl and ipctk agree on triangles to rounding
+
+
+SHEET = {"kind": "grid", "size": [SIZE, SIZE], "resolution": [6, 6]}
+
+
+def ipctk_distance(mesh, part):
+    """Least distance of the cloth from the mesh [m], of all pairs of features."""
+    shell = mesh.shells[0]
+    body = shell.vertices @ rotation_matrix(part["rotation"]).T + part["position"]
+    distances = [
+        ipctk.point_triangle_distance(p, *corners)
+        for points, other in ((body, mesh.vertices[mesh.triangles]), (mesh.vertices, body[shell.triangles]))
+        for corners in other
+        for p in points
+    ]
+    sides = body[ipctk.edges(shell.triangles)]
+    distances += [
+        ipctk.edge_edge_distance(*edge, *side) for edge in mesh.vertices[mesh.edges] for side in sides
+    ]
+    return min(distances) ** 0.5
+
+
+@pytest.mark.parametrize("name", shells())
+def test_cloth_that_meets_a_mesh_or_is_wholly_inside_it_is_named(name):
+    inside = ['cloth[0] starts inside obstacle[0] (mesh "it")']
+    assert warnings(of_mesh(name, position=[0.3, 0.2, HEIGHT])) == inside
+    small = {"size": [1e-3, 1e-3], "position": [0.4 if name == "torus" else 0.0, 0, 0]}
+    assert warnings(of_mesh(name), **small) == inside
+
+
+def test_cloth_in_the_hole_of_a_torus_is_outside():
+    assert warnings(of_mesh("torus"), size=[0.01, 0.01], position=[0, 0, 0]) == []
+
+
+OVERLAPS = {
+    "plane": ({"kind": "plane"}, 0.0),
+    "box": ({"kind": "box", "center": [9, 0, -0.1], "size": [3, 3, 0.2]}, 0.0),
+    "sphere": ({"kind": "sphere", "center": [9, 0, -0.4], "radius": 0.4}, 0.0),
+    "capsule": ({"kind": "capsule", "start": [8.5, 0, -0.1], "end": [9.5, 0, -0.1], "radius": 0.1}, 0.0),
+    "mesh": (of_mesh("box", position=[9.1, 0.05, -0.25]), 0.0),
+}
+
+
+@pytest.mark.parametrize("other", OVERLAPS)
+@pytest.mark.parametrize(("by", "overlap"), [(0.01, True), (0.0, False), (-0.01, False)])
+def test_a_mesh_overlaps_what_it_reaches_into_and_not_what_it_stands_on(other, by, overlap):
+    part, top = OVERLAPS[other]
+    upper = of_mesh("box", name="", position=[9.0, 0.0, top + 0.25 - by])
+    kind = part.get("kind", "mesh")
+    name = f'obstacle[1] ({kind} "it")' if "name" in part else f"obstacle[1] ({kind})"
+    assert warnings(upper, part) == [f"obstacle[0] (mesh) and {name} overlap"] * overlap
+
+
+def test_an_obstacle_inside_a_closed_mesh_overlaps_it():
+    ball = {"kind": "sphere", "center": [9, 0, 0], "radius": 0.1}
+    assert warnings(of_mesh("box", position=[9, 0, 0]), ball) == [
+        'obstacle[0] (mesh "it") and obstacle[1] (sphere) overlap'
+    ]

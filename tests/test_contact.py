@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import sim
 from sim.compiled import Vec3
 from sim.contact.detect import detect
-from sim.contact.obstacles import Obstacles, signed_distance
+from sim.contact.obstacles import Obstacles, shape_of, signed_distance
 from tests.worlds import ball, chain, grid, scene
 
 MU = 0.3
@@ -29,7 +29,7 @@ def distance(obstacles, point, time=0.0):
     """Signed distance of a world point to the only obstacle, and its direction in the world."""
     poses = obstacles.poses(time)
     local = poses.rotation[0].T @ (np.asarray(point) - poses.position[0])
-    value, n = signed_distance(obstacles.shapes.kind[0], obstacles.shapes.size[0], Vec3(*local))
+    value, n = signed_distance(shape_of(obstacles.shapes, 0), Vec3(*local))
     return value, poses.rotation[0] @ np.array(n)
 
 

@@ -27,6 +27,10 @@ def ball(**changes):
     return {"cloth": GRID, "obstacle": [{**BALL, **changes}]}
 
 
+def body(**changes):
+    return {"cloth": GRID, "obstacle": [{"kind": "mesh", "file": "body.obj", **changes}]}
+
+
 def grid(**changes):
     return {"cloth": {**GRID, **changes}}
 
@@ -69,7 +73,8 @@ REFUSED = [
     ({"cloth": {"kind": "mesh"}}, "cloth[0]: expected a key 'file', got ['kind']"),
     (
         ball(kind="ball"),
-        'obstacle[0].kind: expected one of "sphere", "plane", "box", "capsule", got \'ball\'',
+        'obstacle[0].kind: expected one of "sphere", "plane", "box", "capsule", "mesh", "arrays", '
+        "got 'ball'",
     ),
     (ball(radius=-1), "obstacle[0].radius: expected ≥ 0.0001 and ≤ 1000, got -1"),
     (ball(center=[0.0, 0.0]), "obstacle[0].center: expected an array of length 3, got [0.0, 0.0]"),
@@ -88,6 +93,17 @@ REFUSED = [
         {"cloth": GRID, "obstacle": [{"kind": "plane", "normal": [0, 0, 0]}]},
         "obstacle[0].normal: expected a direction, got [0.0, 0.0, 0.0]",
     ),
+    (body(file=None), "obstacle[0].file: expected a string, got None"),
+    (body(scale=0.0), "obstacle[0].scale: expected ≥ 1e-06 and ≤ 1e+06, got 0.0"),
+    (body(position=[0.0, 0.0]), "obstacle[0].position: expected an array of length 3, got [0.0, 0.0]"),
+    (body(position=[0, 0, math.nan]), "obstacle[0].position[2]: expected ≥ -10000 and ≤ 10000, got nan"),
+    (body(foils=1), "obstacle[0].foils: no such key; did you mean file?"),
+    ({"cloth": GRID, "obstacle": [{"kind": "mesh"}]}, "obstacle[0]: expected a key 'file', got ['kind']"),
+    (
+        {"cloth": GRID, "obstacle": [{"vertices": [[0, 0, 0]]}]},
+        "obstacle[0]: expected a key 'triangles', got ['kind', 'vertices']",
+    ),
+    ({"cloth": GRID, "obstacle": [3]}, "obstacle[0]: expected a table, got 3"),
     ({"cloth": GRID, "settings": 3}, "settings: expected a table of settings, got 3"),
     ({"cloth": GRID, "settings": {"gamma": -1}}, "settings.gamma: expected ≥ 0 and ≤ 1000, got -1"),
     ({"cloth": GRID, "settings": {"gamma": math.nan}}, "settings.gamma: expected ≥ 0 and ≤ 1000, got nan"),

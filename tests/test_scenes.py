@@ -43,8 +43,8 @@ def variants():
 LARGEST_STRAIN = 0.1
 """Cloth that stretches or shrinks more than this by the weight of itself looks like rubber."""
 
-RUBBER = {"oscillator": 0.51, "interference": 0.6}
-"""Scenes that are about stretch, and by how much they do."""
+RUBBER = {"oscillator": 0.51, "interference": 0.6, "needle": 0.9}
+"""Scenes that are about stretch, or hang from a point, and by how much they do."""
 
 FASTEST = 8.0
 """Free fall from the highest scene's cloth to the floor ends at 4.6 m/s [m/s]; faster is an explosion."""
@@ -58,7 +58,7 @@ def test_the_first_two_seconds_of_every_variant_are_calm(scene, settings):
         report = world.step()
         assert report.residual <= world.settings.tolerance
         assert np.abs(world.velocities).max() < FASTEST
-        if world.settings.contact == "impulse":
+        if world.settings.contact == "impulse" and world.settings.detection == "continuous":
             assert report.penetrations == 0
     assert np.abs(strains(world)).max() < RUBBER.get(scene, LARGEST_STRAIN)
 
@@ -228,8 +228,8 @@ def test_the_tablecloth_is_no_grid():
 
 
 def test_the_tablecloth_hangs_still_over_its_bolster():
-    """On both sides it reaches below the capsule's middle, and on average moves slower than 2 cm/s."""
-    world, _, energies = run("meshcloth", 3.0)
+    """On both sides it reaches below the capsule's middle, and has swung out to 2 cm/s on average in 4 s."""
+    world, _, energies = run("meshcloth", 4.0)
     bolster = world.scene.obstacle[0]
     beside = np.abs(world.positions[:, 0]) > bolster.radius
     left, right = (world.positions[beside & (sign * world.positions[:, 0] > 0), 2] for sign in (-1, 1))
@@ -360,6 +360,41 @@ def test_the_panel_hangs_with_its_centre_of_mass_below_its_pin(mass):
     assert abs(askew) < 0.01 if mass == "area" else askew > 11.0
 
 
+# Needle
+
+
+def crossings(world):
+    """(needle, knife) how many edges and triangles of cloth and each obstacle cross."""
+    obstacles, n = world.contact.obstacles, len(world.positions)
+    solid = obstacles.solid
+    x = np.concatenate([world.positions, obstacles.corners(obstacles.poses(world.time))])
+    triangles = np.concatenate([world.triangles, solid.triangles + n])
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges = np.unique(sides, axis=0)
+    found = sim.intersections(x, triangles)
+    first = np.stack([edges[found[:, 0], 0], triangles[found[:, 1]].min(axis=1)], axis=1)
+    mixed = first[(first < n).sum(axis=1) == 1].max(axis=1)
+    needle = len(world.mesh.shells[0].vertices)
+    return np.count_nonzero(mixed < n + needle), np.count_nonzero(mixed >= n + needle)
+
+
+def most_crossings(**settings):
+    world, found = sim.Simulation("needle", **settings), []
+    while world.time < 0.6:
+        world.step()
+        found.append(crossings(world))
+    return np.max(found, axis=0)
+
+
+def test_needle_and_knife_go_through_the_sheet_that_looks_once_per_step_only():
+    assert not most_crossings(detection="continuous").any()
+    assert (most_crossings(detection="static") > 0).all()
+
+
+def test_static_detection_sees_the_needle_in_steps_of_less_than_the_thickness():
+    assert most_crossings(detection="static", dt=1 / 480)[0] == 0
+
+
 def test_no_scene_is_left_without_a_test_of_its_own():
-    names = {"curtain", "drape", "meshcloth", "strip"} | set(STUDIES)
+    names = {"curtain", "drape", "meshcloth", "needle", "strip"} | set(STUDIES)
     assert {path.stem for path in scene_files()} == names

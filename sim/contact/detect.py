@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.compiled import Vec3, add, dot, inner, kernel, put, row, scale, sub
 from sim.contact.contacts import Contacts, make_contacts
-from sim.contact.obstacles import MESH, Obstacles, Poses, signed_distance
+from sim.contact.obstacles import MESH, Obstacles, Poses, shape_of, signed_distance
 
 NEAR = 1e-3
 """A vertex this part of the thickness short of contact counts as touching."""
@@ -54,17 +54,17 @@ def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, fo
         if not free[i]:
             continue
         for o in range(len(shapes.kind)):
-            kind, size = shapes.kind[o], shapes.size[o]
-            if kind == MESH:
+            shape = shape_of(shapes, o)
+            if shape.kind == MESH:
                 continue
             a = into_frame(before.position[o], before.rotation[o], row(start, i))
             b = into_frame(after.position[o], after.rotation[o], row(end, i))
-            at_start = signed_distance(kind, size, a)[0]
-            touches, c = _first_contact(kind, size, a, b, thickness, continuous)
+            at_start = signed_distance(shape, a)[0]
+            touches, c = _first_contact(shape, a, b, thickness, continuous)
             if not touches:
                 continue
-            distance, n = signed_distance(kind, size, c)
-            ahead, m = signed_distance(kind, size, b)
+            distance, n = signed_distance(shape, c)
+            ahead, m = signed_distance(shape, b)
             if dot(m, n) > SAME_SIDE:  # the vertex slides on: the plane where it is going is nearer the truth
                 c, distance, n = b, ahead, m
             normal = turn(after.rotation[o], n)
@@ -82,15 +82,15 @@ def _sweep(shapes, before, after, start, end, free, h, thickness, continuous, fo
 
 
 @inner
-def _first_contact(kind, size, a, b, thickness, continuous):
+def _first_contact(shape, a, b, thickness, continuous):
     """Whether the way from a to b comes within `thickness`, and the first point that does."""
-    if signed_distance(kind, size, a)[0] < thickness:
+    if signed_distance(shape, a)[0] < thickness:
         return True, a
     if not continuous:
         return False, a
     way, t, c = sub(b, a), 0.0, a
     for _ in range(MOST_ADVANCES):
-        distance, n = signed_distance(kind, size, c)
+        distance, n = signed_distance(shape, c)
         approach = -dot(n, way)
         if distance - thickness < NEAR * thickness:
             return True, c
@@ -130,7 +130,8 @@ def deepest(shapes, poses, positions, depths):
     for i in range(len(positions)):
         depths[i] = 0.0
         for o in range(len(shapes.kind)):
-            if shapes.kind[o] == MESH:
+            shape = shape_of(shapes, o)
+            if shape.kind == MESH:
                 continue
             local = into_frame(poses.position[o], poses.rotation[o], row(positions, i))
-            depths[i] = max(depths[i], -signed_distance(shapes.kind[o], shapes.size[o], local)[0])
+            depths[i] = max(depths[i], -signed_distance(shape, local)[0])

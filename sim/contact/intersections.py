@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compiled import cross, dot, inner, kernel, row, sub
-from sim.mesh import _edges
+from sim.mesh import distinct_edges
 
 APART, UNSURE, CROSSING = 0, 1, 2
 
@@ -56,7 +56,7 @@ def intersections(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     x, corners = _checked(positions, triangles)
     if len(corners) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    edges = _edges(corners, np.zeros((0, 2), dtype=np.int64), len(x)).astype(np.int64)
+    edges = distinct_edges(corners, np.zeros((0, 2), dtype=np.int64), len(x)).astype(np.int64)
     pairs, crossing = _candidates(x, edges, corners)
     for k in np.flatnonzero(~crossing):
         crossing[k] = _meet(x[edges[pairs[k, 0]]], x[corners[pairs[k, 1]]])

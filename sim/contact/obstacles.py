@@ -1,33 +1,48 @@
-"""Obstacles: solid shapes that stand still or move rigidly on keyed paths.
+"""Obstacles: shapes that stand still or move rigidly on keyed paths.
 
-Each shape is given by its exact signed distance in its own frame, negative inside, and the direction in
-which it grows. All of them are convex, so the plane through a nearest point leaves the whole obstacle on
-one side.
+Spheres, capsules and boxes are all points within a radius of a box, which may be as small as a point or as
+thin as a line. Their and a plane's signed distance, negative inside, and the direction in which it grows are
+exact, in the shape's own frame. They are convex, so the plane through a nearest point leaves the whole
+obstacle on one side. Obstacles that are meshes have corners and edges instead of a distance.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiled import Vec3, dot, inner, norm, scale
+from sim.compiled import Vec3, dot, inner, row
+from sim.mesh import distinct_edges
 from sim.placement import pose
-from sim.scene import Box, Obstacle, Plane, Scene, Sphere
+from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
+from sim.shells import Shell
 
-SPHERE, PLANE, BOX, CAPSULE, MESH = range(5)
+ROUNDED, PLANE, MESH = range(3)
 
 
 class Shapes(NamedTuple):
-    """Shapes in their own frames: kind (o,) and size (o, 3) [m].
+    """Shapes in their own frames.
 
-    Sizes: a sphere's radius; nothing for a plane, whose normal is z; a box's half sides; a capsule's half
-    length along z and its radius.
+    Attributes:
+        kind: (o,) ROUNDED, all within a radius of a box; PLANE, below z = 0; or MESH, not described here.
+        half: (o, 3) half sides of the box [m], zero for a sphere; along z for a capsule.
+        radius: (o,) [m], zero for a box.
     """
 
     kind: np.ndarray
-    size: np.ndarray
+    half: np.ndarray
+    radius: np.ndarray
+
+
+class Shape(NamedTuple):
+    """One of them, for a kernel."""
+
+    kind: int
+    half: Vec3
+    radius: float
 
 
 class Poses(NamedTuple):
@@ -48,24 +63,23 @@ class Solid(NamedTuple):
 class Obstacles:
     """The obstacles of a scene as arrays, at any time.
 
+    Args:
+        scene: The scene.
+        shells: Of its obstacles, in order, None for those that are no meshes (`sim.mesh.Mesh.shells`).
+
     Attributes:
         parts: Of the scene.
         shapes: Of all of them.
         solid: The surfaces of those that are meshes, in their own frames.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, shells: Sequence[Shell | None] = ()) -> None:
         self.parts = scene.obstacle
-        described = [_describe(part) for part in self.parts]
+        kinds, halves, radii = zip(*map(_describe, self.parts), strict=True) if self.parts else ((), (), ())
         self.shapes = Shapes(
-            np.array([kind for kind, _ in described], dtype=np.int64),
-            np.array([size for _, size in described], dtype=float).reshape(-1, 3),
+            np.array(kinds, dtype=np.int64), np.array(halves, dtype=float).reshape(-1, 3), np.array(radii)
         )
-
-        self.solid = Solid(
-            np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
-        )
-        self._part = np.zeros(0, dtype=np.int64)
+        self.solid, self._part = _joined(shells)
 
     def corners(self, poses: Poses) -> np.ndarray:
         """(k, 3) where the vertices of mesh obstacles are in these poses [m]."""
@@ -80,43 +94,54 @@ class Obstacles:
         return Poses(position, rotation)
 
 
-def _describe(part: Obstacle) -> tuple[int, tuple[float, float, float]]:
+def _describe(part: Obstacle) -> tuple[int, tuple[float, float, float], float]:
     if isinstance(part, Sphere):
-        return SPHERE, (part.radius, 0.0, 0.0)
-    if isinstance(part, Plane):
-        return PLANE, (0.0, 0.0, 0.0)
+        return ROUNDED, (0.0, 0.0, 0.0), part.radius
+    if isinstance(part, Capsule):
+        return ROUNDED, (0.0, 0.0, 0.5 * math.dist(part.start, part.end)), part.radius
     if isinstance(part, Box):
         x, y, z = part.size
-        return BOX, (0.5 * x, 0.5 * y, 0.5 * z)
-    return CAPSULE, (0.5 * math.dist(part.start, part.end), part.radius, 0.0)
+        return ROUNDED, (0.5 * x, 0.5 * y, 0.5 * z), 0.0
+    return PLANE if isinstance(part, Plane) else MESH, (0.0, 0.0, 0.0), 0.0
+
+
+def _joined(shells: Sequence[Shell | None]) -> tuple[Solid, np.ndarray]:
+    """All shells as one surface, and (k,) which obstacle each of its vertices belongs to."""
+    vertices, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
+    part = [np.zeros(0, dtype=np.int64)]
+    first = 0
+    for o, shell in enumerate(shells):
+        if shell is not None:
+            vertices.append(shell.vertices)
+            triangles.append(shell.triangles + first)
+            part.append(np.full(len(shell.vertices), o))
+            first += len(shell.vertices)
+    corners = np.concatenate(triangles)
+    edges = distinct_edges(corners, np.zeros((0, 2), dtype=np.int64), first).astype(np.int64)
+    return Solid(np.concatenate(vertices), corners, edges), np.concatenate(part)
 
 
 @inner
-def signed_distance(kind, size, p):
+def shape_of(shapes, o):
+    """Shape o."""
+    return Shape(shapes.kind[o], row(shapes.half, o), shapes.radius[o])
+
+
+@inner
+def signed_distance(shape, p):
     """Signed distance [m] of point `p` in the shape's own frame, and the unit direction of its increase."""
-    if kind == PLANE:
+    if shape.kind == PLANE:
         return p.z, Vec3(0.0, 0.0, 1.0)
-    if kind == BOX:
-        return _box_distance(size, p)
-    if kind == CAPSULE:
-        p = Vec3(p.x, p.y, p.z - min(max(p.z, -size[0]), size[0]))
-    radius = size[1] if kind == CAPSULE else size[0]
-    length = norm(p)
-    if length == 0.0:
-        return -radius, Vec3(1.0, 0.0, 0.0)
-    return length - radius, scale(1.0 / length, p)
-
-
-@inner
-def _box_distance(size, p):
-    d = Vec3(abs(p.x) - size[0], abs(p.y) - size[1], abs(p.z) - size[2])
+    half, radius = shape.half, shape.radius
+    d = Vec3(abs(p.x) - half.x, abs(p.y) - half.y, abs(p.z) - half.z)
     side = Vec3(math.copysign(1.0, p.x), math.copysign(1.0, p.y), math.copysign(1.0, p.z))
     out = Vec3(max(d.x, 0.0), max(d.y, 0.0), max(d.z, 0.0))
     length = math.sqrt(dot(out, out))
     if length > 0.0:
-        return length, Vec3(side.x * out.x / length, side.y * out.y / length, side.z * out.z / length)
+        n = Vec3(side.x * out.x / length, side.y * out.y / length, side.z * out.z / length)
+        return length - radius, n
     if d.x >= d.y and d.x >= d.z:
-        return d.x, Vec3(side.x, 0.0, 0.0)
+        return d.x - radius, Vec3(side.x, 0.0, 0.0)
     if d.y >= d.z:
-        return d.y, Vec3(0.0, side.y, 0.0)
-    return d.z, Vec3(0.0, 0.0, side.z)
+        return d.y - radius, Vec3(0.0, side.y, 0.0)
+    return d.z - radius, Vec3(0.0, 0.0, side.z)

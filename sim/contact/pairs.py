@@ -11,6 +11,7 @@ import numpy as np
 
 from sim.contact.broad import BroadPhase, Candidates
 from sim.contact.contacts import Contacts, along
+from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
 from sim.contact.proximity import measure, meet
@@ -34,9 +35,6 @@ QUIET = 0.1
 
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
-
-ROUNDING = 1e-12
-"""Part of the largest coordinate below which no part of a distance is gone: rounding might go the rest."""
 
 
 class Pairs:
@@ -121,14 +119,7 @@ class Pairs:
         pairs = self._listed(end)
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
-        way = end[which] - self._start[which]
-        size = max(np.abs(self._start).max(), np.abs(end).max())
-        allowed = np.where(least[which] < ROUNDING * size, 0.0, NEARER * least[which])
-        length = np.linalg.norm(way, axis=1)
-        far = length > (1.0 + 1e-9) * allowed  # else it has been shortened before
-        which, start = which[far], self._start[which[far]]
-        end[which] = start + (allowed[far] / length[far])[:, None] * way[far]
-        return which
+        return go_at_most(self._start, end, which, NEARER * least[which])
 
     def _listed(self, end: np.ndarray) -> Candidates:
         """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""

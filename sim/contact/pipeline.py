@@ -9,6 +9,7 @@ no farther than they can without meeting anything.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,10 +18,12 @@ from msgspec.structs import replace as replaced
 
 from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
+from sim.contact.faces import Faces
 from sim.contact.friction import rub
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
 from sim.contact.pairs import Pairs
+from sim.contact.pinch import fit
 from sim.contact.response import RESPONSES, Response, lacks, project, push_apart, targets
 from sim.integrators import INTEGRATORS
 from sim.model import Model
@@ -37,6 +40,12 @@ MOST_ROUNDS = 8
 
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
+
+MOST_FAILSAFES = 4
+"""Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
+
+MOST_TURNS = 4
+"""Turns of holding back what meets, and what meets that, before all vertices are."""
 
 Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray], Solution]
 
@@ -63,8 +72,10 @@ class Pipeline:
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
-        self.obstacles = Obstacles(scene)
+        self.obstacles = Obstacles(scene, model.mesh.shells)
         self._model = model
+        first_key = len(model.mesh.vertices) * len(self.obstacles.parts)
+        self._faces = Faces(model.mesh, model.free, self.obstacles, first_key)
         self._pairs: Pairs | None = None
         self.forget()
 
@@ -105,7 +116,8 @@ class Pipeline:
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
         way = _Way(settings, *poses, x, v, solve, report)
-        found = self._attempt(way, response, pairs, touched, halvings == 0)
+        last = halvings == 0 or report.failsafes >= MOST_FAILSAFES
+        found = self._attempt(way, response, pairs, touched, last)
         if found is not None:
             return found
         report.substeps += 1
@@ -138,26 +150,27 @@ class Pipeline:
         solves = 0
         while True:
             with report.phase("detect"):
-                found = self._detect(response, way, end)
-                springs = self._gap_springs(response, way, near, found, end, touched)
+                found = self._fitted(near, self._detect(response, way, end), end, report)
+                springs = self._gap_springs(response, way, len(near.key), found, end, touched)
             with report.phase("solve"):
                 solution = way.solve(springs, s, way.x, way.v)
             with report.phase("detect"):
-                contacts = self._detect(response, way, solution.positions)
-                late = self._late(response, way, contacts, springs, solution.positions)
+                x = solution.positions
+                contacts = self._fitted(near, self._detect(response, way, x), x, report)
+                late = self._late(response, way, contacts.only(slice(len(near.key), None)), springs, x)
                 hits = NO_CONTACTS
                 if response is not None and not response.impulses:
-                    hits = self._hits(way, pairs, solution.positions)
+                    hits = self._hits(way, pairs, x)
                     hits = hits.only(~np.isin(hits.key, near.key))
             solves, report.iterations = solves + 1, report.iterations + solution.iterations
             if not (len(late) or len(hits.key)) or solves == MOST_SOLVES:
                 break
-            end[late] = solution.positions[late]
+            end[late] = x[late]
             node = hits.node[hits.weight != 0.0]
-            end[node] = solution.positions[node]
+            end[node] = x[node]
             near = near.and_also(hits)
         with report.phase("respond"):
-            return self._respond(response, pairs, way, springs, near.and_also(contacts), solution, last)
+            return self._respond(response, pairs, way, springs, contacts, solution, last)
 
     def _projected(self, way: _Way, pairs: Pairs | None) -> tuple[Solution, Touch]:
         """Take a step that feels nothing, then put right what it led into."""
@@ -189,8 +202,7 @@ class Pipeline:
         if s.contact == "none" or not (own or len(self.obstacles.solid.vertices)):
             return None
         if self._pairs is None or self._pairs.own != own:
-            first_key = len(mesh.vertices) * max(len(self.obstacles.parts), 1)
-            self._pairs = Pairs(mesh, self._model.free, self.obstacles.solid, own, first_key)
+            self._pairs = Pairs(mesh, self._model.free, self.obstacles.solid, own, self._faces.last_key)
         return self._pairs
 
     def _response(self, settings: Settings) -> Response | None:
@@ -201,18 +213,22 @@ class Pipeline:
         return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), solved=False)
 
     def _begin(self, way: _Way, pairs: Pairs | None) -> Contacts:
-        """Pairs that are nearer than the thickness at the start."""
-        if pairs is None:
-            return NO_CONTACTS
-        corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
-        near = pairs.begin(way.x, *corners, way.settings.dt, way.settings.thickness)
+        """Pairs, and faces and obstacles, that are nearer than they should be at the start."""
+        s, near = way.settings, NO_CONTACTS
+        if s.contact == "none":
+            return near
+        if pairs is not None:
+            corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
+            near = pairs.begin(way.x, *corners, s.dt, s.thickness)
+        near = near.and_also(self._faces.begin(way.x, way.before, way.after, s.dt, s.thickness))
         return near.confined(self._model.axis, way.x)
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
-        """Pairs that meet on the way to `end`."""
-        if pairs is None or way.settings.detection == "static":
+        """Pairs, and faces and obstacles, that meet on the way to `end`."""
+        if way.settings.contact == "none" or way.settings.detection == "static":
             return NO_CONTACTS
-        return pairs.hits(end).confined(self._model.axis, way.x)
+        hits = NO_CONTACTS if pairs is None else pairs.hits(end)
+        return hits.and_also(self._faces.hits(end)).confined(self._model.axis, way.x)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -223,18 +239,24 @@ class Pipeline:
         about = self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous"
         return detect(*about).confined(self._model.axis, way.x)
 
+    @staticmethod
+    def _fitted(known: Contacts, more: Contacts, end: np.ndarray, report: StepReport) -> Contacts:
+        """Both, with no more thickness than obstacles leave room for."""
+        contacts, pinched = fit(known.and_also(more), end)
+        report.pinched = max(report.pinched, pinched)
+        return contacts
+
     def _gap_springs(
         self,
         response: Response | None,
         way: _Way,
-        near: Contacts,
-        found: Contacts,
+        near: int,
+        contacts: Contacts,
         end: np.ndarray,
         touched: Touch,
     ) -> GapSprings:
-        contacts = near.and_also(found)
         state = self._model.inverse_masses, end, way.v, *touched.of(contacts.key)
-        springs = gap_springs(response, contacts, len(near.key), *state, way.settings)
+        springs = gap_springs(response, contacts, near, *state, way.settings)
         if response is not None and not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
         return springs
@@ -324,7 +346,7 @@ class Pipeline:
                 return contacts, given
             report.hits += len(hits.key)
             known = len(contacts.key)
-            contacts = contacts.and_also(hits).and_also(beyond)
+            contacts = self._fitted(contacts, hits.and_also(beyond), x, report)
             given = np.append(given, np.zeros(len(contacts.key) - known))
             before = given.copy()
             masses = contacts.masses(inverse_masses)
@@ -333,21 +355,28 @@ class Pipeline:
             rub(contacts, s.friction, *push, np.maximum(given - before, 0.0), np.zeros_like(given))
         if not last:
             return None
-        if pairs is not None:
-            self._hold_back(pairs, way, x)
+        self._hold_back(pairs, way, x)
         return contacts, given
 
-    def _hold_back(self, pairs: Pairs, way: _Way, x: np.ndarray) -> None:
-        """Let vertices that would still meet something go only as far as nothing can be met; speeds stay."""
-        held = np.zeros(len(x), dtype=bool)
-        while True:
+    def _hold_back(self, pairs: Pairs | None, way: _Way, x: np.ndarray) -> None:
+        """Let vertices that would still meet something go only as far as nothing can be met; speeds stay.
+
+        Where that leads others into what they would not have met, over and over, it is done to all of them.
+        """
+        held, everything = np.zeros(len(x), dtype=bool), np.flatnonzero(self._model.free)
+        for turn in itertools.count():
             with way.report.phase("detect"):
                 hits = self._hits(way, pairs, x)
             # All vertices of a pair, also those that weigh nothing where it meets: it might turn about these.
-            shortened = pairs.shorten(x, np.unique(hits.node[self._model.free[hits.node]]))
+            which = np.unique(hits.node[self._model.free[hits.node]])
+            shortened = self._faces.shorten(x, hits)
+            if pairs is not None and len(which):
+                which = everything if turn >= MOST_TURNS else which
+                shortened = np.union1d(shortened, pairs.shorten(x, which))
             if not len(shortened):
                 break
             stay = shortened[held[shortened]]  # what is left of these ways is rounding
             x[stay] = way.x[stay]
             held[shortened] = True
         way.report.held_back += int(np.count_nonzero(held))
+        way.report.failsafes += bool(held.any())

@@ -8,7 +8,7 @@ from sim.contact import broad
 from sim.contact.broad import BroadPhase, CandidateError
 from sim.contact.impact import EDGE_EDGE, VERTEX_TRIANGLE
 from sim.contact.surface import HUB, build_surface
-from sim.mesh import _edges
+from sim.mesh import distinct_edges
 from sim.threads import LAUNCHED, processor_threads
 from tests.contact import judge
 
@@ -108,7 +108,7 @@ class Case:
         rng = np.random.default_rng(seed)
         self.start, self.triangles, extra = make(rng)
         n = len(self.start)
-        self.edges = _edges(self.triangles, extra, n).astype(np.int64)
+        self.edges = distinct_edges(self.triangles, extra, n).astype(np.int64)
         own = rng.standard_normal(self.start.shape) * motion
         self.end = self.start + own + rng.standard_normal(3) * 10.0 * motion  # and all together
         self.movable = rng.random(n) >= fixed

@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+import viser
 from fake_world import SCENE
 
-from server.framing import Framing, droop, hanging, swung
+from server.framing import Framing, droop, hanging, obstacle_corners, swung
+from server.lane import Frame
 from server.shapes import obstacle_mesh, quaternion, standing
+from server.stage import Place
 from sim import load_scene
 from sim.mesh import build_mesh
+from sim.placement import pose
 from sim.rotation import rotation_matrix
 from sim.scene import Box, Capsule, Plane, Sphere
 
@@ -23,6 +27,42 @@ def test_solids_enclose_their_volume_with_outward_triangles(solid, volume):
     vertices, triangles = obstacle_mesh(solid)
     a, b, c = np.moveaxis(vertices[triangles].astype(float), 1, 0)
     assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6 == pytest.approx(volume, rel=0.01)
+
+
+WEDGE = {
+    "vertices": [[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 0.5]],
+    "triangles": [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]],
+    "position": [1.0, 2.0, 0.0],
+    "rotation": [0.0, 0.0, np.pi / 2],
+    "path": [{"time": 0.0}, {"time": 1.0, "position": [4.0, 2.0, 0.0]}],
+}
+
+
+def test_a_mesh_is_drawn_as_it_is_stands_as_it_is_turned_and_is_seen_along_its_path():
+    scene = load_scene({**SCENE, "obstacle": [WEDGE]})
+    (part,), (shell,) = scene.obstacle, build_mesh(scene).shells
+    vertices, triangles = obstacle_mesh(part, shell)
+    np.testing.assert_array_equal(vertices[triangles], np.array(WEDGE["vertices"])[WEDGE["triangles"]])
+    assert standing(part) @ [1, 0, 0] == pytest.approx(np.array([0.0, 1.0, 0.0]), abs=1e-12)
+    corners = obstacle_corners(part, shell)
+    assert corners.min(axis=0) == pytest.approx(np.array([-1.0, 2.0, 0.0]), abs=1e-12)
+    assert corners.max(axis=0) == pytest.approx(np.array([4.0, 3.0, 0.5]), abs=1e-12)
+
+
+def test_a_mesh_moves_on_the_stage_as_the_simulation_has_it():
+    """The drawn node takes the frame's pose, as that of every other obstacle does."""
+    scene = load_scene({**SCENE, "obstacle": [WEDGE]})
+    mesh, server = build_mesh(scene), viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        place = Place(server.scene, "/take", 0, scene, mesh, Framing(scene, mesh, 1))
+        position, rotation = pose(scene.obstacle[0], 0.5)
+        place.show(Frame(positions=mesh.vertices, poses=[(position, rotation)]))
+        node = place._moving[0]
+        assert node.position == pytest.approx(position)
+        assert node.wxyz == pytest.approx(quaternion(rotation))
+        assert node.vertices.shape == (4, 3)
+    finally:
+        server.stop()
 
 
 def test_capsule_and_plane_stand_as_the_scene_says():
