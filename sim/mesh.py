@@ -268,6 +268,7 @@ def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: st
 
 
 def distinct_edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarray:
+    """(e, 2) int32 every edge of the triangles (m, 3) once, and the `extra` (k, 2), of n vertices."""
     sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]], extra])
     low, high = sides.min(axis=1), sides.max(axis=1)
     _, first = np.unique(low * n + high, return_index=True)

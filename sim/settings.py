@@ -472,8 +472,9 @@ def convert(name: str, value: Any) -> Any:
     """`value` as setting `name` holds it; ValueError names the field, the value and what is allowed."""
     if name not in FIELDS:
         raise ValueError(f"{name}: no such setting; the settings are {', '.join(FIELDS)}")
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        value = value.tolist()
+    value = _plain(value)
+    if isinstance(value, list | tuple):
+        value = [_plain(item) for item in value]
     field = FIELDS[name]
     try:
         value = msgspec.convert(value, _ANNOTATIONS[name])
@@ -481,6 +482,11 @@ def convert(name: str, value: Any) -> Any:
         raise ValueError(field.refusal(value)) from None
     field.check(value)
     return value
+
+
+def _plain(value: Any) -> Any:
+    """`value` without NumPy: its scalars and arrays as numbers and lists."""
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def parse(name: str, text: str) -> Any:

@@ -83,6 +83,22 @@ class Contacts(NamedTuple):
         """Those of them that the mask or the indices `which` pick."""
         return Contacts(*(array[which] for array in self))
 
+    def or_else(self, others: Contacts, lack: np.ndarray, others_lack: np.ndarray) -> Contacts:
+        """These, each replaced by that of the `others` with its key, if there is one and it lacks less [m].
+
+        An obstacle is behind each of the planes that it shows a vertex, so to be before one is enough.
+        """
+        order = np.argsort(others.key, kind="stable")
+        place = np.searchsorted(others.key[order], self.key).clip(0, max(len(order) - 1, 0))
+        if not len(order):
+            return self
+        twin = order[place]
+        better = np.flatnonzero((others.key[twin] == self.key) & (others_lack[twin] < lack))
+        mixed = Contacts(*(array.copy() for array in self))
+        for array, other in zip(mixed, others, strict=True):
+            array[better] = other[twin[better]]
+        return mixed
+
     def and_also(self, others: Contacts) -> Contacts:
         """These, then `others`."""
         if not len(others.key):

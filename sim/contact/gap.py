@@ -28,12 +28,14 @@ class GapSprings(NamedTuple):
         pairs: How many of them are between vertices of the cloth.
         elements: Their gaps as coordinates.
         drag: (c,) d, the friction force per slip [N s/m].
+        aside: (3, c) stiffness, damping and drag of those that the solve has let go of.
     """
 
     contacts: Contacts
     pairs: int
     elements: Elements
     drag: np.ndarray
+    aside: np.ndarray
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate the gaps at `positions` (n, 3) [m]."""
@@ -95,12 +97,22 @@ class GapSprings(NamedTuple):
             np.add.at(forces, self.contacts.node.ravel(), shares.reshape(-1, 3))
         return forces
 
-    def release(self, positions: np.ndarray, slack: float) -> None:
-        """Let go, for the rest of the step, of contacts more than `slack` [m] off their target."""
+    def engage(self, positions: np.ndarray, slack: float) -> bool:
+        """Let go of contacts more than `slack` [m] off their target, and take up those that lack as much.
+
+        Returns whether some were taken up again, so that the solve should go on.
+        """
         self.measure(positions)
-        held = self.elements.q <= self.elements.rest + slack
-        for strength in (self.elements.stiffness, self.elements.damping, self.drag):
-            strength *= held
+        over = self.elements.q - self.elements.rest
+        off = over > slack
+        on = (over < -slack) & (self.elements.stiffness == 0.0)
+        strengths = self.elements.stiffness, self.elements.damping, self.drag
+        for strength, aside in zip(strengths, self.aside, strict=True):
+            aside[off] += strength[off]
+            strength[off] = 0.0
+            strength[on] = aside[on]
+            aside[on] = 0.0
+        return bool(on.any())
 
     def pushes(self, positions: np.ndarray, velocities: np.ndarray, h: float) -> np.ndarray:
         """(c,) normal impulse of each gap spring over a step that ends so [N s]."""
@@ -112,7 +124,7 @@ class GapSprings(NamedTuple):
         return self.elements.tension
 
 
-NO_GAP_SPRINGS = GapSprings(NO_CONTACTS, 0, make_elements(np.zeros((0, 4)), 0), np.zeros(0))
+NO_GAP_SPRINGS = GapSprings(NO_CONTACTS, 0, make_elements(np.zeros((0, 4)), 0), np.zeros(0), np.zeros((3, 0)))
 """What a step without contacts feels."""
 
 
@@ -164,7 +176,7 @@ def gap_springs(
     sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
     force = np.maximum(pressed / h, mass * np.maximum(lack, 0.0) / h**2)
     drag = settings.friction * force / np.maximum(np.maximum(sliding, slip), CREEP)
-    return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag)
+    return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag, np.zeros((3, len(drag))))
 
 
 @kernel

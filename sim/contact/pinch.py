@@ -13,7 +13,7 @@ from sim.compiled import dot, inner, kernel, row
 from sim.contact.contacts import Contacts
 
 OPPOSITE = -0.8
-"""Cosine of two normals below which the room between their planes counts: out of a wider wedge cloth slips."""
+"""Cosine of two normals below which the room between their planes counts: cloth slips out of wider wedges."""
 
 SHARES = 4.0
 """Parts that the room is split into: enough for a layer, and for two more."""

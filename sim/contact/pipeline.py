@@ -24,7 +24,7 @@ from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
 from sim.contact.pairs import Pairs
 from sim.contact.pinch import fit
-from sim.contact.response import RESPONSES, Response, lacks, project, push_apart, targets
+from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, project, push_apart, targets
 from sim.integrators import INTEGRATORS
 from sim.model import Model
 from sim.report import StepReport
@@ -40,6 +40,9 @@ MOST_ROUNDS = 8
 
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
+
+GROWTH = 0.5
+"""Part of the kinetic energy by which a step may raise the energy and still be a good one."""
 
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
@@ -157,6 +160,9 @@ class Pipeline:
             with report.phase("detect"):
                 x = solution.positions
                 contacts = self._fitted(near, self._detect(response, way, x), x, report)
+                if response is not None and len(springs.contacts.key):
+                    lack = (lacks(response, c, x, h) for c in (contacts, springs.contacts))
+                    contacts = contacts.or_else(springs.contacts, *lack)
                 late = self._late(response, way, contacts.only(slice(len(near.key), None)), springs, x)
                 hits = NO_CONTACTS
                 if response is not None and not response.impulses:
@@ -170,7 +176,26 @@ class Pipeline:
             end[node] = x[node]
             near = near.and_also(hits)
         with report.phase("respond"):
-            return self._respond(response, pairs, way, springs, contacts, solution, last)
+            found = self._respond(response, pairs, way, springs, contacts, solution, last)
+            if found is None or last or not (response and response.impulses and len(contacts.key)):
+                return found
+            return None if self._erupts(way, contacts, solution) else found
+
+    def _erupts(self, way: _Way, contacts: Contacts, solution: Solution) -> bool:
+        """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
+
+        Impulses move vertices without asking the springs, and a linearised step tells little of what happens
+        to cloth that is stopped within an edge's length; in steps that are short enough neither matters.
+        """
+        mass, v, w = self._model.masses, way.v, solution.velocities
+        moved = np.unique(contacts.node[contacts.weight != 0.0])
+        fastest = np.linalg.norm(contacts.speed, axis=1).max(initial=0.0)
+        given = 2.0 * mass[moved].sum() * fastest**2 + 0.5 * mass.sum() * RECOVERY_SPEED**2
+        kinetic, after = 0.5 * float(mass @ (v * v).sum(axis=1)), 0.5 * float(mass @ (w * w).sum(axis=1))
+        gained = self._model.potential(solution.positions, NO_GAP_SPRINGS) - self._model.potential(
+            way.x, NO_GAP_SPRINGS
+        )
+        return bool(after + gained > kinetic + given + GROWTH * kinetic)
 
     def _projected(self, way: _Way, pairs: Pairs | None) -> tuple[Solution, Touch]:
         """Take a step that feels nothing, then put right what it led into."""

@@ -127,7 +127,7 @@ def backward_euler(
             way = step - drift, descent
             step = drift + _line_search(model, contacts, x_hat, v_hat, velocities + drift, h, *way)
         velocities = velocities + step
-        contacts.release(x_hat + h * velocities, settings.tolerance)
+        small = not contacts.engage(x_hat + h * velocities, settings.tolerance) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
         if converged or newton == settings.newton or not step.any():
