@@ -41,6 +41,7 @@ class StepReport:
         near: Of these, those nearer than the thickness at the start.
         thickness: That cloth had against cloth [m]; no more than a part of a typical edge.
         hits: Pairs that continuous detection found to meet, summed over its rounds.
+        zones: Groups of contacts that shared vertices and were settled at once, as sweeps did not.
         held_back: Vertices that had to be held back, as no impulse led them past what they would have met.
         failsafes: Parts of the step in which that happened.
         pinched: Vertices between obstacles that leave them less room than the thickness on both sides.
@@ -66,6 +67,7 @@ class StepReport:
     near: int = 0
     thickness: float = 0.0
     hits: int = 0
+    zones: int = 0
     held_back: int = 0
     failsafes: int = 0
     pinched: int = 0

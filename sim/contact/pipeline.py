@@ -24,7 +24,8 @@ from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
 from sim.contact.pairs import Pairs
 from sim.contact.pinch import fit
-from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, project, push_apart, targets
+from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, project, targets
+from sim.contact.zones import keep_apart
 from sim.integrators import INTEGRATORS
 from sim.model import Model
 from sim.report import StepReport
@@ -176,26 +177,7 @@ class Pipeline:
             end[node] = x[node]
             near = near.and_also(hits)
         with report.phase("respond"):
-            found = self._respond(response, pairs, way, springs, contacts, solution, last)
-            if found is None or last or not (response and response.impulses and len(contacts.key)):
-                return found
-            return None if self._erupts(way, contacts, solution) else found
-
-    def _erupts(self, way: _Way, contacts: Contacts, solution: Solution) -> bool:
-        """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
-
-        Impulses move vertices without asking the springs, and a linearised step tells little of what happens
-        to cloth that is stopped within an edge's length; in steps that are short enough neither matters.
-        """
-        mass, v, w = self._model.masses, way.v, solution.velocities
-        moved = np.unique(contacts.node[contacts.weight != 0.0])
-        fastest = np.linalg.norm(contacts.speed, axis=1).max(initial=0.0)
-        given = 2.0 * mass[moved].sum() * fastest**2 + 0.5 * mass.sum() * RECOVERY_SPEED**2
-        kinetic, after = 0.5 * float(mass @ (v * v).sum(axis=1)), 0.5 * float(mass @ (w * w).sum(axis=1))
-        gained = self._model.potential(solution.positions, NO_GAP_SPRINGS) - self._model.potential(
-            way.x, NO_GAP_SPRINGS
-        )
-        return bool(after + gained > kinetic + given + GROWTH * kinetic)
+            return self._respond(response, pairs, way, springs, contacts, solution, last)
 
     def _projected(self, way: _Way, pairs: Pairs | None) -> tuple[Solution, Touch]:
         """Take a step that feels nothing, then put right what it led into."""
@@ -328,10 +310,10 @@ class Pipeline:
         wanted = targets(response, contacts, h)
         push = masses, inverse_masses, h, x, v
         if response.impulses:
-            push_apart(contacts, wanted, *push, given)
+            keep_apart(contacts, wanted, *push, given, report)
         rub(contacts, s.friction, *push, impulses + given, drag)
         if response.impulses:
-            push_apart(contacts, wanted, *push, given)
+            keep_apart(contacts, wanted, *push, given, report)
         if not (response.impulses and s.detection == "continuous" and np.isfinite(x).all()):
             pressed = impulses + given
         elif (found := self._untangle(response, pairs, way, contacts, given, x, v, last)) is None:
@@ -339,7 +321,27 @@ class Pipeline:
         else:
             contacts, pressed = found
             pressed[: len(impulses)] += impulses
+        if response.impulses and not last and self._erupts(way, contacts, pressed, solution):
+            return None
         return solution, touch(contacts.key, pressed, slip.of(contacts.key)[1])
+
+    def _erupts(self, way: _Way, contacts: Contacts, pressed: np.ndarray, solution: Solution) -> bool:
+        """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
+
+        Impulses move vertices without asking the springs, and a linearised step tells little of what happens
+        to cloth that is stopped within an edge's length; in steps that are short enough neither matters.
+        `pressed` (c,) is what the contacts gave [N s].
+        """
+        if not len(contacts.key):
+            return False
+        mass, speed = self._model.masses, np.linalg.norm(contacts.speed, axis=1)
+        moved = np.unique(contacts.node[contacts.weight != 0.0])
+        work = (1.0 + way.settings.friction) * float(pressed @ speed)
+        thrown = 2.0 * mass[moved].sum() * speed.max() ** 2 + 0.5 * mass.sum() * RECOVERY_SPEED**2
+        before, after = (0.5 * float(mass @ (v * v).sum(axis=1)) for v in (way.v, solution.velocities))
+        stored = (self._model.potential(x, NO_GAP_SPRINGS) for x in (solution.positions, way.x))
+        gained = after - before + next(stored) - next(stored)
+        return gained > work + thrown + GROWTH * before
 
     def _untangle(
         self,
@@ -376,7 +378,7 @@ class Pipeline:
             before = given.copy()
             masses = contacts.masses(inverse_masses)
             push = masses, inverse_masses, h, x, v
-            push_apart(contacts, targets(response, contacts, h), *push, given)
+            keep_apart(contacts, targets(response, contacts, h), *push, given, report)
             rub(contacts, s.friction, *push, np.maximum(given - before, 0.0), np.zeros_like(given))
         if not last:
             return None
