@@ -1,0 +1,90 @@
+"""What a person should do: one sentence, and settings to paste."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import tomli_w
+from msgspec import to_builtins
+
+from sim.studies.cost.front import cheapest
+from sim.studies.cost.report import Run, Source, Verdict
+
+FRAME = 1 / 60
+"""[s]."""
+
+DEEPER = 1e-4
+"""A run that ends deeper inside an obstacle than the chosen one, by more than this [m], is not recommended."""
+
+
+def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target: float) -> Verdict:
+    """The cheapest run that meets `target`, or the one that comes nearest to it."""
+    fit = [run for run in runs if run.deepest <= chosen.deepest + DEEPER]
+    found = cheapest([run.ms for run in fit], [run.error for run in fit], target)
+    best = fit[found] if found is not None else min(fit, key=lambda run: (run.error, run.ms))
+    changed = to_builtins(best.changed)
+    return Verdict(
+        target=target,
+        sentence=_sentence(chosen, best, target, found is not None),
+        dominates=dominant(sources),
+        settings=changed,
+        toml=_toml(changed, best, target, found is not None),
+        ms=best.ms,
+        error=best.error,
+        pays=chosen.ms / best.ms,
+    )
+
+
+def _sentence(chosen: Run, best: Run, target: float, met: bool) -> str:
+    if not met:
+        begin = f"Nothing that was tried reaches {percent(target)} on this scene; the nearest, {percent(best.error)}, is"
+    else:
+        begin = f"For {percent(target)} error on this scene the cheapest setting is"
+    cost = f"{best.ms * FRAME:.3g} ms per frame, {1e3 / best.ms:.2g} × real time"
+    if best is chosen:
+        return f"{begin} the one you have: {cost}, with an error of {percent(best.error)}."
+    now = f"you now pay {chosen.ms / best.ms:.2g} × that for {percent(chosen.error)}"
+    return f"{begin} {in_words(best.changed)}: {cost}; {now}."
+
+
+def dominant(sources: Sequence[Source]) -> str:
+    """Which source of error is largest, in a sentence."""
+    known = sorted(((s.change, s) for s in sources if s.change is not None), key=lambda p: -p[0])
+    if not known:
+        return "No source of error could be told."
+    (most, first), *others = known
+    words = f"At the chosen settings the {first.source} dominates: turned from {first.what} it moves the cloth by {percent(most)}"
+    words += "".join(f", the {s.source} by {percent(change)}" for change, s in others) + "."
+    mesh = next((s for s in sources if s.source == "mesh" and s.observables), None)
+    if mesh is None:
+        return words
+    name, moved = max(mesh.observables.items(), key=lambda item: abs(item[1]))
+    rest = max((abs(s.observables.get(name, 0.0)) for s in sources if s is not mesh), default=0.0)
+    more = "more" if abs(moved) > rest else "less"
+    return f"{words} A mesh twice as fine moves the {name} by {abs(moved):.2g}, {more} than any of these ({rest:.2g})."
+
+
+def percent(part: float) -> str:
+    """A part as people say it."""
+    return f"{100.0 * part:.2g} %"
+
+
+def in_words(settings: dict[str, Any]) -> str:
+    """Settings as `name = value, …`."""
+    return ", ".join(f"{name} = {value_in_words(name, value)}" for name, value in settings.items())
+
+
+def value_in_words(name: str, value: Any) -> str:
+    """A value; a time step as a part of a second."""
+    if name == "dt":
+        part = Fraction(value).limit_denominator(100_000)
+        return f"{part} s" if part.numerator == 1 else f"{1e3 * value:.3g} ms"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _toml(changed: dict[str, Any], best: Run, target: float, met: bool) -> str:
+    reach = f"for {percent(target)} error" if met else f"nearest to {percent(target)} error"
+    head = f"# {reach}: {percent(best.error)} at {best.ms * FRAME:.3g} ms per frame\n"
+    return head + tomli_w.dumps({"settings": changed})
