@@ -1,13 +1,14 @@
 """How long two runs of a scene may be compared vertex by vertex.
 
-Copies of a run whose vertices were moved by a hair at first drift apart, wherever the cloth may fall into one fold
-or another. Once that hair has grown to what one would call an error, a difference of positions says nothing of a
-method: observables, and their spread over seeded runs, are what is left.
+Copies of a run whose vertices were moved by a hair at first drift apart, wherever the cloth may fall into one
+fold or another. Once that hair has grown to what one would call an error, a difference of positions says
+nothing of a method: observables, and their spread over seeded runs, are what is left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,21 @@ HAIR = 1e-8
 APART = 1e-3
 """Relative distance at which runs are no longer the same."""
 
+NEWTON = 3
+"""Newton iterations of these runs."""
+
 GROWN = 10.0
 """Times its first size that a hair must have grown to speak of exponential growth."""
+
+
+def growth_settings(dt: float, length: float) -> dict[str, Any]:
+    """Settings of runs that drift apart: solves leave no more than the hair itself, or they would drive it.
+
+    Args:
+        dt: Time step [s].
+        length: Of the cloth [m].
+    """
+    return {"integrator": "sdirk2", "dt": dt, "newton": NEWTON, "tolerance": HAIR * length}
 
 
 def growth(base: Trace, moved: Sequence[Trace], masses: np.ndarray, length: float) -> Growth:
@@ -51,7 +65,7 @@ def growth(base: Trace, moved: Sequence[Trace], masses: np.ndarray, length: floa
 
 
 def _e_fold(times: np.ndarray, largest: np.ndarray) -> float | None:
-    """Time [s] in which the distance grows e times, from a line through its logarithm; None where it does not."""
+    """Time [s] in which the distance grows e times, from a line through its logarithm; None for no growth."""
     seen = (largest > 0.0) & (largest < APART) & (times > 0.0)
     if np.count_nonzero(seen) < 3 or largest[seen][-1] < GROWN * largest[seen][0]:
         return None

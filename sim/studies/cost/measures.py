@@ -1,8 +1,8 @@
 """What is measured of cloth: distances between two runs, and observables that need no second run.
 
-Distances are relative, and weighted by mass: e_x = √(Σ mᵢ |xᵢ − yᵢ|² / Σ mᵢ) / L, with L the diagonal of the cloth
-at rest. Observables are numbers that a person would read off: they still mean something where two runs have
-fallen into different folds, and between meshes of different resolution.
+Distances are relative, and weighted by mass: e_x = √(Σ mᵢ |xᵢ − yᵢ|² / Σ mᵢ) / L, with L the diagonal of the
+cloth at rest. Observables are numbers that a person would read off: they still mean something where two runs
+have fallen into different folds, and between meshes of different resolution.
 """
 
 from __future__ import annotations
@@ -14,7 +14,14 @@ import numpy as np
 from sim.simulation import Simulation
 from sim.springs.angle import coordinate
 
-UNITS = {"sag": "m", "drape radius": "m", "hinge angle": "rad", "area": "m²", "projected area": "m²", "volume": "m³"}
+UNITS = {
+    "sag": "m",
+    "drape radius": "m",
+    "hinge angle": "rad",
+    "area": "m²",
+    "projected area": "m²",
+    "volume": "m³",
+}
 """Of the observables; those that a scene cannot have are left out."""
 
 
@@ -51,8 +58,9 @@ class Measures:
     """Takes the observables of a simulation.
 
     Sag is how far the lowest vertex hangs below the pins, drape radius the root mean square distance of mass
-    from the vertical through the centre of mass, hinge angle the root mean square of all fold angles, projected
-    area the shadow that triangles cast along gravity, each for itself, and volume that within closed cloth.
+    from the vertical through the centre of mass, hinge angle the root mean square of all fold angles,
+    projected area the shadow that triangles cast along gravity, each for itself, and volume that within
+    closed cloth.
 
     Args:
         world: The simulation; `look` is about its present state.
@@ -88,7 +96,9 @@ class Measures:
                 found["sag"] = float((x @ down).max() - (x[world.pinned] @ down).mean())
             off = x - masses @ x / masses.sum()
             aside = off - np.outer(off @ down, down)
-            found["drape radius"] = float(np.sqrt(masses @ np.einsum("ij,ij->i", aside, aside) / masses.sum()))
+            found["drape radius"] = float(
+                np.sqrt(masses @ np.einsum("ij,ij->i", aside, aside) / masses.sum())
+            )
         if len(world.mesh.hinges):
             found["hinge angle"] = float(np.sqrt(np.mean(self._angles() ** 2)))
         if len(world.triangles):

@@ -1,8 +1,8 @@
 """The same cloth on a mesh twice as fine, or half: every vertex of the coarser one is one of the finer.
 
-An edge spring of stiffness k has the constant k/l₀, and halving l₀ puts twice as many beside each other: for the
-same stiffness per width, k is halved. Bending stiffness and density do not depend on the mesh; the damping ratio is
-that of each spring, so what it damps of the whole does, a little.
+An edge spring of stiffness k has the constant k/l₀, and halving l₀ puts twice as many beside each other: for
+the same stiffness per width, k is halved. Bending stiffness and density do not depend on the mesh; the
+damping ratio is that of each spring, so what it damps of the whole does, a little.
 """
 
 from __future__ import annotations

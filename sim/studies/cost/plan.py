@@ -134,7 +134,9 @@ STEP_PART = 4
 """Part of the time step that its error is told by."""
 
 
-def refinements(scene: Scene, chosen: Settings, contact: bool, mesh: dict[str, Any] | None) -> list[Refinement]:
+def refinements(
+    scene: Scene, chosen: Settings, contact: bool, mesh: dict[str, Any] | None
+) -> list[Refinement]:
     """What the error of the chosen settings may come from.
 
     Args:

@@ -1,9 +1,9 @@
 """A reference that earns the name: methods of different kinds that agree, and agree with half the step.
 
-SDIRK2 and BDF2 are both second order, but their errors differ in size and kind, so what they agree on is not the
-doing of either. Where a step feels a contact every integrator is backward Euler, though: there the two would agree
-even if both were wrong, and what tells is how much half the step still changes. The larger of both distances is the
-floor: no error below ten times of it can be told.
+SDIRK2 and BDF2 are both second order, but their errors differ in size and kind, so what they agree on is not
+the doing of either. Where a step feels a contact every integrator is backward Euler, though: there the two
+would agree even if both were wrong, and what tells is how much half the step still changes. The larger of
+both distances is the floor: no error below ten times of it can be told.
 """
 
 from __future__ import annotations
@@ -28,14 +28,19 @@ ROUNDING = 1e-11
 """Errors below this are rounding: every method is exact there, and there is nothing to compare."""
 
 ACCELERATION = 1e-4
-"""Error of acceleration [m/s²] that a solve may leave in a run that is as good as converged; a hundred-thousandth
-of the earth's. A position error of τ in a step of h is one of τ/h², so the tolerance goes with h²."""
+"""Error of acceleration [m/s²] that a solve may leave in a run that is as good as converged; a
+hundred-thousandth of the earth's. A position error of τ in a step of h is one of τ/h², so the tolerance goes
+with h²."""
 
 FINEST_TOLERANCE = 1e-12
 """As `tolerance` is bounded below [m]."""
 
 NEWTON = 8
 """Most Newton iterations of a run that is as good as converged."""
+
+REFERENCE_NEWTON = 3
+"""The same for the reference, whose steps are so short that its first guess is nearly right. What that leaves
+out shrinks with the step, so twice the step tells."""
 
 
 class ReferenceError(ValueError):
@@ -58,6 +63,12 @@ class Reference:
     floor: np.ndarray
     checks: dict[str, np.ndarray]
 
+    def errors(self, trace: Trace, masses: np.ndarray, length: float) -> np.ndarray:
+        """(k,) the largest distance e_x of a run from it up to each look."""
+        looks = min(len(trace), len(self.trace))
+        apart = distances(trace.positions[:looks], self.trace.positions[:looks], masses, length)
+        return np.maximum.accumulate(apart)
+
 
 def converged(dt: float) -> dict[str, Any]:
     """Settings of a run with steps of `dt` [s] whose equations are as good as solved."""
@@ -70,11 +81,11 @@ def converged_tolerance(dt: float) -> float:
 
 
 def reference_settings(chosen: Settings, dt: float) -> list[dict[str, Any]]:
-    """Settings of the reference, and of the two runs that it is checked by: the other method, and twice the step."""
+    """Settings of the reference and of the runs that check it: the other method, and twice the step."""
     from msgspec.structs import asdict
 
     base = {**asdict(chosen), "compensate": "off"}
-    fine, coarse = converged(dt), converged(2.0 * dt)
+    fine, coarse = ({**converged(h), "newton": REFERENCE_NEWTON} for h in (dt, 2.0 * dt))
     return [
         {**base, **fine, "integrator": "sdirk2"},
         {**base, **fine, "integrator": "bdf2"},
@@ -91,27 +102,28 @@ def judge(traces: Sequence[Trace], dt: float, masses: np.ndarray, length: float)
     for trace in traces:
         if trace.stopped:
             raise ReferenceError(f"the reference failed {trace.stopped}")
+    looks = min(map(len, traces))
     truth, *others = traces
     names = "BDF2 at the same step", "SDIRK2 at twice the step"
     checks = {
-        name: distances(other.positions, truth.positions, masses, length)
+        name: distances(other.positions[:looks], truth.positions[:looks], masses, length)
         for name, other in zip(names, others, strict=True)
     }
     floor = np.maximum.accumulate(np.max(list(checks.values()), axis=0))
     return Reference(truth, dt, floor, checks)
 
 
-def comparable(reference: Reference, errors: Sequence[np.ndarray], most: int) -> int | None:
-    """The last look, at most `most`, up to which the floor is a tenth of the smallest error; None if there is none.
+def comparable(floor: np.ndarray, errors: Sequence[np.ndarray], most: int) -> int | None:
+    """The last look up to which the floor is a tenth of the smallest error; None if there is none.
 
     Args:
-        reference: Its floor is read.
+        floor: Of the reference (k,).
         errors: Of each run (k,), the largest up to each look.
         most: The last look that may be used.
     """
-    looks = min([most + 1, len(reference.floor), *map(len, errors)])
+    looks = min([most + 1, len(floor), *map(len, errors)])
     smallest = np.min([error[:looks] for error in errors], axis=0)
-    good = (smallest > ROUNDING) & (MARGIN * reference.floor[:looks] <= smallest)
+    good = (smallest > ROUNDING) & (MARGIN * floor[:looks] <= smallest)
     found = np.flatnonzero(good)
     return int(found[-1]) if len(found) else None
 
@@ -122,12 +134,12 @@ def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int) -> Ref
     smallest = np.min([error[:looks] for error in errors], axis=0)
     if not (smallest > ROUNDING).any():
         return ReferenceError(
-            f"up to {reference.trace.times[looks - 1]:.3g} s every method is exact to rounding: there is nothing "
-            "to compare; ask for more --seconds, or another scene"
+            f"up to {reference.trace.times[looks - 1]:.3g} s every method is exact to rounding: there is "
+            "nothing to compare; ask for more --seconds, or another scene"
         )
     at = int(np.argmin(reference.floor[1:looks] / np.maximum(smallest[1:], ROUNDING))) + 1
     return ReferenceError(
         f"the reference is too coarse: with steps of {1e3 * reference.dt:.3g} ms it is known to "
-        f"{reference.floor[at]:.1e} at {reference.trace.times[at]:.3g} s, expected a tenth of the smallest error, "
-        f"{smallest[at]:.1e}"
+        f"{reference.floor[at]:.1e} at {reference.trace.times[at]:.3g} s, expected a tenth of the smallest "
+        f"error, {smallest[at]:.1e}"
     )

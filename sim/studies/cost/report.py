@@ -1,7 +1,7 @@
 """What the studies of cost write as JSON, as types: the published schema is made of them.
 
-Times are in seconds, costs in milliseconds of wall time per simulated second, errors relative, unless a name says
-otherwise.
+Times are in seconds, costs in milliseconds of wall time per simulated second, errors relative, unless a name
+says otherwise.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Hardware = dict[str, str | int | float | None]
 
 
 class Growth(Struct, kw_only=True, frozen=True):
-    """How fast runs that differ by a hair drift apart; `distance` is the largest of all members' at `times`."""
+    """How fast runs that differ by a hair drift apart: the largest distance of any member."""
 
     times: list[float]
     distance: list[float]
@@ -31,7 +31,7 @@ class Growth(Struct, kw_only=True, frozen=True):
 
 
 class Truth(Struct, kw_only=True, frozen=True):
-    """The reference: its step, how far it is from each of its checks at the horizon, and when it was halved."""
+    """The reference: its step, how far it is from its checks at the horizon, how often it was refined."""
 
     integrator: str
     dt: float
@@ -52,7 +52,9 @@ class Run(Struct, kw_only=True, frozen=True):
     ms_repeats: list[float]
     phases: dict[str, float]
     matvecs: Annotated[float, Meta(description="matrix–vector products per simulated second")]
-    queries: Annotated[float, Meta(description="pairs of features looked at by contact, per simulated second")]
+    queries: Annotated[
+        float, Meta(description="pairs of features looked at by contact, per simulated second")
+    ]
     newton_per_step: float
     unconverged: Annotated[float, Meta(description="part of the steps whose solver did not converge")]
     stood_in: Annotated[float, Meta(description="part of the steps that backward Euler took instead")]
@@ -169,7 +171,9 @@ class Variant(Struct, kw_only=True, frozen=True):
     energy: Annotated[dict[str, float], Meta(description="J by kind, at the end")]
     energy_start: float
     energy_change: Annotated[float, Meta(description="J; the total at the end less that at the start")]
-    energy_rise: Annotated[float, Meta(description="J; the largest rise of the total above its smallest before")]
+    energy_rise: Annotated[
+        float, Meta(description="J; the largest rise of the total above its smallest before")
+    ]
     penetrations: Annotated[int, Meta(description="most vertices inside an obstacle at the end of a step")]
     deepest: Annotated[float, Meta(description="m")]
     crossings: Annotated[int, Meta(description="pairs of cloth that cross at the end")]

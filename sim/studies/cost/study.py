@@ -1,8 +1,8 @@
-"""What accuracy costs in time on one scene: a work–precision study (methods: Hairer and Wanner 1996, DiffEqDevTools).
+"""What accuracy costs in time on one scene: a work–precision study, as Hairer and Wanner (1996) draw them.
 
-In this order: how long runs may be compared at all; a reference that earns the name; every run of the plan, timed
-alone and several times; which knob the error of the chosen settings comes from; and, past the time up to which runs
-can be compared, seeded ensembles of observables.
+In this order: how long runs may be compared at all; a reference that earns the name; every run of the plan,
+timed alone and several times; which knob the error of the chosen settings comes from; and, past the time up
+to which runs can be compared, seeded ensembles of observables.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sim.simulation import Simulation
 from sim.studies import Progress
 from sim.studies.cost import plan as planning
 from sim.studies.cost.front import front
-from sim.studies.cost.horizon import HAIR, growth
+from sim.studies.cost.horizon import HAIR, growth, growth_settings
 from sim.studies.cost.measures import distances, size
 from sim.studies.cost.nested import nested
 from sim.studies.cost.plan import SOLVED, USUAL, Effort, Planned
@@ -35,7 +35,6 @@ from sim.studies.cost.reference import (
     Reference,
     ReferenceError,
     comparable,
-    converged,
     judge,
     reference_settings,
     refuse,
@@ -43,7 +42,7 @@ from sim.studies.cost.reference import (
 from sim.studies.cost.report import Band, CostReport, Curve, Failure, Growth, MeshLevel, Run, Source, Truth
 from sim.studies.cost.timing import Timed, measure, repeat
 from sim.studies.cost.trace import Case, Trace
-from sim.studies.cost.verdict import verdict
+from sim.studies.cost.verdict import ENERGY, verdict
 from sim.studies.cost.workers import RunAll, workers
 from sim.warmup import warm_up
 
@@ -59,11 +58,12 @@ FEWEST = 2
 SEED = 1e-6
 """By which ensembles' vertices are moved at first, as part of the cloth's size."""
 
-REFERENCE_SHARE, SWEEP_SHARE = 0.4, 0.35
-"""Parts of the time of a study for the reference and for timed runs."""
+GROWTH_SHARE, REFERENCE_SHARE, ENSEMBLE_SHARE = 0.06, 0.25, 0.04
+"""Parts of the time of a study for each run that drifts apart, each reference, and each seeded run; what is
+reached by then is what is compared."""
 
-CHEAPER = 0.7
-"""A step of a typical run over one of SDIRK2 that is solved well, in time."""
+LATER = 2.0
+"""How much more expensive steps may be past the horizon, where cloth is folded."""
 
 
 def cost(
@@ -103,7 +103,9 @@ def cost(
         raise ValueError(f"--target: expected a relative error > 0 and < 1, got {target:g}")
     computer = hardware()
     with workers(jobs, cluster) as run_all:
-        study = _Study(scene, chosen, seconds, effort, target, progress or (lambda done, what: None), run_all, finer)
+        study = _Study(
+            scene, chosen, seconds, effort, target, progress or (lambda done, what: None), run_all, finer
+        )
         return replace(study.report(), hardware=computer, versions=versions())
 
 
@@ -123,11 +125,11 @@ class _Study:
     ) -> None:
         self.scene, self.chosen, self.effort, self.target = scene, chosen, effort, target
         self.progress, self.run_all, self.finer = progress, run_all, finer
-        self.begin = time.perf_counter()
         self.every = planning.steps(chosen, effort)[0]
         self.most = int(seconds / self.every + 1e-9)
         progress(0.0, "getting kernels ready (the first run compiles them)")
         warm_up(replace(scene, settings=change(chosen, newton=max(chosen.newton, 3))))
+        self.begin = time.perf_counter()
         world = Simulation(scene, **asdict(chosen))
         self.masses, self.length = world.masses.copy(), size(world)
 
@@ -136,8 +138,8 @@ class _Study:
         grown, base = self._growth()
         contact = bool(base.contact["contacts"].max() > 0)
         planned = planning.plan(self.scene, self.chosen, self.effort, contact)
-        last = min(round(grown.horizon / self.every), self._affordable(base, planned))
-        reference, timed, look, refined = self._compared(planned, max(last, 1))
+        last = max(1, round(grown.horizon / self.every))
+        reference, timed, look, refined = self._compared(planned, last)
         self._repeat(planned, timed, look)
         runs, failed = self._runs(planned, timed, reference, look)
         if not runs or runs[0].settings != self.chosen:
@@ -154,7 +156,7 @@ class _Study:
             chosen=self.chosen,
             horizon=horizon,
             floor=float(reference.floor[look]),
-            why_horizon=self._why(horizon, grown, last),
+            why_horizon=self._why(horizon, grown, len(reference.trace) - 1),
             growth=grown,
             reference=_truth(reference, look, refined),
             runs=runs,
@@ -164,22 +166,29 @@ class _Study:
             meshes=meshes,
             bands=bands,
             verdict=verdict(runs[0], runs, sources, self.target),
-            notes=_notes(runs, contact),
+            notes=_notes(runs, contact, self.effort.repeats),
             hardware={},
             versions={},
         )
 
     # How long runs can be compared
 
-    def _case(self, settings: dict[str, Any], looks: int, *nudges: tuple[float, int]) -> Case:
-        return Case(self.scene, {**asdict(self.chosen), **settings}, self.every, looks, nudges)
+    def _case(
+        self, settings: dict[str, Any], looks: int, *nudges: tuple[float, int], share: float = math.inf
+    ) -> Case:
+        """A run of so many looks, for a share of the time of the study at most."""
+        limit = share * 60.0 * self.effort.minutes
+        return Case(self.scene, {**asdict(self.chosen), **settings}, self.every, looks, nudges, limit)
 
     def _growth(self) -> tuple[Growth, Trace]:
         """How fast runs drift apart, and the run that they drift from."""
-        settings = {**converged(self.chosen.dt / 2), "integrator": "sdirk2"}
+        settings = growth_settings(self.chosen.dt, self.length)
         hair = HAIR * self.length
-        cases = [self._case(settings, self.most)]
-        cases += [self._case(settings, self.most, (hair, 1 + m)) for m in range(self.effort.members)]
+        cases = [self._case(settings, self.most, share=GROWTH_SHARE)]
+        cases += [
+            self._case(settings, self.most, (hair, 1 + m), share=GROWTH_SHARE)
+            for m in range(self.effort.members)
+        ]
         traces = self._made(cases, 0.02, 0.15, "how fast runs drift apart")
         if min(map(len, traces)) <= FEWEST:
             raise ReferenceError(f"a run with SDIRK2 fails {max(t.stopped for t in traces)}")
@@ -194,55 +203,47 @@ class _Study:
             self.progress(start + (end - start) * len(traces) / len(cases), what)
         return traces
 
-    def _affordable(self, base: Trace, planned: Sequence[Planned]) -> int:
-        """Looks that reference and timed runs can go on for in the time of the study."""
-        if math.isinf(self.effort.minutes):
-            return self.most
-        budget = 6e4 * self.effort.minutes
-        ms = base.ms.copy()
-        ms[1] = min(ms[1:3])  # the first interval has the loading of kernels in it
-        per_step = np.cumsum(ms) / (base.times[-1] / (len(base) - 1) / (self.chosen.dt / 2))
-        fine = self.every / self._reference_step()
-        sweep = sum(self.every / p.settings.dt for p in planned) * self.effort.repeats
-        fits = (1.5 * fine * CHEAPER * per_step <= REFERENCE_SHARE * budget) & (
-            sweep * CHEAPER * per_step <= SWEEP_SHARE * budget
-        )
-        return max(FEWEST, int(np.flatnonzero(fits)[-1]))
-
     def _reference_step(self) -> float:
         return planning.steps(self.chosen, self.effort)[-1] / self.finer
 
-    def _why(self, horizon: float, grown: Growth, last: int) -> str:
+    def _why(self, horizon: float, grown: Growth, known: int) -> str:
         """Why errors are told up to the horizon and no longer."""
         if grown.reached and horizon >= grown.horizon - 0.5 * self.every:
             return "runs that differ by a hair differ visibly after that"
-        if round(horizon / self.every) < last:
+        if horizon >= (self.most - 0.5) * self.every:
+            return "it was not asked for more"
+        if round(horizon / self.every) < known:
             return "after that the reference is not known to a tenth of the smallest error"
-        if last < self.most:
-            return "a longer reference would take too long for this effort; ask for --full"
-        return "it was not asked for more"
+        return "a longer reference would take too long for this effort; ask for --full"
 
     # Reference and timed runs
 
     def _compared(self, planned: Sequence[Planned], last: int) -> tuple[Reference, list[Timed], int, int]:
-        """A reference and runs that can be told against it, up to which look, and how often it was refined."""
+        """A reference, runs that can be told against it, up to which look, and how often it was refined."""
         dt, timed = self._reference_step(), None
         for refined in range(self.effort.refinements + 1):
             settings = reference_settings(self.chosen, dt / 2**refined)
-            traces = self._made([self._case(s, last) for s in settings], 0.15, 0.5, "the reference")
+            cases = [self._case(s, last, share=REFERENCE_SHARE) for s in settings]
+            traces = self._made(cases, 0.15, 0.5, "the reference")
+            last = min(last, *(len(trace) - 1 for trace in traces))
             reference = judge(traces, dt / 2**refined, self.masses, self.length)
             timed = timed or self._timed(planned, last)
-            errors = [self._error(t.trace, reference) for t in timed if not t.trace.stopped]
-            if not errors:
-                raise ReferenceError(f"every run fails; the one with the chosen settings {timed[0].trace.stopped}")
-            look = comparable(reference, errors, last)
+            fine = [t.trace for t in timed if not t.trace.stopped]
+            if not fine:
+                raise ReferenceError(f"every run fails; with the chosen settings {timed[0].trace.stopped}")
+            errors = [reference.errors(trace, self.masses, self.length) for trace in fine]
+            look = comparable(reference.floor, errors, last)
             if look is not None and look >= min(FEWEST, last):
                 return reference, timed, look, refined
-        raise refuse(reference, errors, last)
+            if refined == self.effort.refinements:
+                raise refuse(reference, errors, last)
+        raise AssertionError("unreachable")
 
     def _timed(self, planned: Sequence[Planned], last: int) -> list[Timed]:
         cases = [self._case(asdict(p.settings), last) for p in planned]
-        return measure(cases, lambda done: self.progress(0.5 + 0.15 * done / len(cases), _what(planned[done])))
+        return measure(
+            cases, lambda done: self.progress(0.5 + 0.15 * done / len(cases), _what(planned[done]))
+        )
 
     def _repeat(self, planned: Sequence[Planned], timed: Sequence[Timed], look: int) -> None:
         cases = [self._case(asdict(p.settings), look) for p in planned]
@@ -253,12 +254,6 @@ class _Study:
             return time.perf_counter() < until
 
         repeat(cases, timed, self.effort.repeats, go_on)
-
-    def _error(self, trace: Trace, reference: Reference) -> np.ndarray:
-        """(k,) largest error up to each look."""
-        looks = min(len(trace), len(reference.trace))
-        apart = distances(trace.positions[:looks], reference.trace.positions[:looks], self.masses, self.length)
-        return np.maximum.accumulate(apart)
 
     def _runs(
         self, planned: Sequence[Planned], timed: Sequence[Timed], reference: Reference, look: int
@@ -296,7 +291,9 @@ class _Study:
             "stood_in": float(trace.work["stood_in"][until].sum() / steps),
             "error": float(apart.max()),
             "error_at_end": float(apart[-1]),
-            "error_energy": float(np.abs(trace.energy[until] - truth.energy[until]).max() / _turnover(truth, look)),
+            "error_energy": float(
+                np.abs(trace.energy[until] - truth.energy[until]).max() / _turnover(truth, look)
+            ),
             "error_strain": float(np.abs(trace.strain[until] - truth.strain[until]).max()),
             "error_observables": _differences(trace, truth, look),
             "penetrations": int(trace.contact["penetrations"][until].max()),
@@ -331,14 +328,18 @@ class _Study:
         """What each knob changes of the chosen run when it is turned towards accuracy."""
         turned = planning.refinements(self.scene, self.chosen, contact, mesh)
         cases = [
-            replace_scene(self._case(r.changes, look), self._finer) if r.level else self._case(r.changes, look)
+            replace_scene(self._case(r.changes, look), self._finer)
+            if r.level
+            else self._case(r.changes, look)
             for r in turned
         ]
         traces = self._made(cases, 0.89, 0.93, "where the error comes from")
         found = []
         for r, trace in zip(turned, traces, strict=True):
             if trace.stopped:
-                found.append(Source(source=r.source, what=r.what, change=None, observables={}, reason=trace.stopped))
+                found.append(
+                    Source(source=r.source, what=r.what, change=None, observables={}, reason=trace.stopped)
+                )
                 continue
             apart = None
             if not r.level:
@@ -356,14 +357,15 @@ class _Study:
         if look >= self.most or not self.effort.ensemble:
             return []
         chosen, members = runs[0], self.effort.ensemble
-        seconds = self.most * self.every
-        left = 6e4 * self.effort.minutes - 1e3 * (time.perf_counter() - self.begin)
-        fit = [r for r in runs if r.ms * seconds * members <= max(left, 2.0 * chosen.ms * seconds * members)]
-        best = min(fit, key=lambda r: (r.error, r.ms), default=chosen)
+        most = 6e4 * self.effort.minutes * ENSEMBLE_SHARE
+        fit = [run for run in runs if LATER * run.ms * self.most * self.every <= most]
+        best = min(fit, key=lambda run: (run.error, run.ms), default=chosen)
         names = {"chosen": chosen, "accurate": best} if best is not chosen else {"chosen": chosen}
         nudge = SEED * self.length
         cases = [
-            self._case(asdict(run.settings), self.most, (nudge, 1 + m)) for run in names.values() for m in range(members)
+            self._case(asdict(run.settings), self.most, (nudge, 1 + m), share=ENSEMBLE_SHARE)
+            for run in names.values()
+            for m in range(members)
         ]
         traces = iter(self._made(cases, 0.93, 1.0, "seeded runs beyond the horizon"))
         return list(chain(*(_bands_of(name, [next(traces) for _ in range(members)]) for name in names)))
@@ -390,7 +392,8 @@ def _turnover(trace: Trace, look: int) -> float:
 def _differences(trace: Trace, truth: Trace, look: int) -> dict[str, float]:
     """By how much observables differ at a look, in their own units."""
     return {
-        name: float(values[look] - truth.observables[name][look]) for name, values in trace.observables.items()
+        name: float(values[look] - truth.observables[name][look])
+        for name, values in trace.observables.items()
     }
 
 
@@ -431,32 +434,38 @@ def _curves(runs: Sequence[Run]) -> list[Curve]:
 
 def _bands_of(name: str, traces: Sequence[Trace]) -> Iterator[Band]:
     whole = [trace for trace in traces if not trace.stopped]
+    looks = min(map(len, whole), default=0)
     for observable in whole[0].observables if whole else ():
-        values = np.stack([trace.observables[observable] for trace in whole])
+        values = np.stack([trace.observables[observable][:looks] for trace in whole])
         yield Band(
             settings=name,
             observable=observable,
             members=len(whole),
-            times=whole[0].times.tolist(),
+            times=whole[0].times[:looks].tolist(),
             mean=values.mean(axis=0).tolist(),
             deviation=values.std(axis=0).tolist(),
         )
 
 
-def _notes(runs: Sequence[Run], contact: bool) -> list[str]:
+def _notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
     notes = [
-        "All runs start from the same state and simulate the same cloth; errors are mass-weighted distances from the "
-        "reference as part of the cloth's diagonal, the largest up to the horizon.",
-        f"On curves named “{SOLVED}” equations are solved so well that all error is the time step's; on curves named "
-        "after an integrator alone, Newton iterations are as chosen, and the tolerance goes with the step squared.",
-        f"The reference is known to a {MARGIN:.0f}th of the smallest error plotted, or the study would have been refused.",
+        "All runs start from the same state and simulate the same cloth; errors are mass-weighted distances "
+        "from the reference as part of the cloth's diagonal, the largest up to the horizon.",
+        f"On curves named “{SOLVED}” equations are solved so well that all error is the time step's; on "
+        "curves named after an integrator alone, Newton iterations are as chosen, and the tolerance goes "
+        "with the step squared.",
+        f"The reference is known to a {MARGIN:.0f}th of the smallest error plotted, or the study would have "
+        "been refused.",
+        "Not recommended are settings that let cloth deeper into an obstacle than the chosen ones do, or "
+        f"whose energy is more wrong than theirs and than {ENERGY:.0f} times the target.",
     ]
     stood_in = max((run.stood_in for run in runs), default=0.0)
     if contact:
         notes.append(
-            "Cloth touches something here: a step that feels a contact is one of backward Euler whatever the integrator "
-            f"(up to {stood_in:.0%} of the steps), so no method is of more than first order from there on."
+            "Cloth touches something here: a step that feels a contact is one of backward Euler whatever the "
+            f"integrator (up to {stood_in:.0%} of the steps), so no method is of more than first order from "
+            "there on."
         )
-    if any(run.deepest > 0.0 for run in runs):
-        notes.append("Settings that let cloth deeper into an obstacle than the chosen ones are not recommended.")
+    if (fewest := min(len(run.ms_repeats) for run in runs)) < repeats:
+        notes.append(f"Time was up before all repeats: some runs were timed {fewest} times, not {repeats}.")
     return notes

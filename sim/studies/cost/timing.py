@@ -10,13 +10,13 @@ import numpy as np
 
 from sim.studies.cost.trace import Case, Trace, run
 
-
 MORE, ENOUGH = 3, 500.0
-"""Times that a short run is repeated more often, at most, until all its repeats took so long together [ms]."""
+"""Times that a short run is repeated more often, at most, until all its repeats took so long together
+[ms]."""
 
 
 class Timed:
-    """A run, and what its repeats took; the first time, which warms caches, counts only where there is no other.
+    """A run and what its repeats took; the first, which warms caches, counts only where there is no other.
 
     Attributes:
         trace: Of the first time; the others are the same to the bit.
@@ -42,7 +42,10 @@ class Timed:
         """Milliseconds per simulated second up to a look by phase, medians of all times."""
         names = self.phases[0]
         return {
-            name: median(self.trace.per_second(p.get(name, np.zeros(look + 1)), look) for p in self.phases[1:] or self.phases)
+            name: median(
+                self.trace.per_second(p.get(name, np.zeros(look + 1)), look)
+                for p in self.phases[1:] or self.phases
+            )
             for name in names
         }
 
@@ -57,9 +60,9 @@ def measure(cases: Sequence[Case], told: Callable[[int], None]) -> list[Timed]:
 
 
 def repeat(cases: Sequence[Case], timed: Sequence[Timed], times: int, told: Callable[[float], bool]) -> None:
-    """Make those runs that did not fail again, in turn, until `told` says no, once it knows what part is done.
+    """Make runs again in turn, those that did not fail, until `told`, who knows what part is done, says no.
 
-    Short runs are made more often than the others, up to MORE times as often.
+    Every one is made once at least. Short runs are made up to MORE times as often as the others.
     """
     left = [_times(t, times) for t in timed]
     total, done = sum(left), 0
@@ -67,7 +70,7 @@ def repeat(cases: Sequence[Case], timed: Sequence[Timed], times: int, told: Call
         for i, case in enumerate(cases):
             if not left[i]:
                 continue
-            if not told(done / total):
+            if not told(done / total) and done >= len(cases):
                 return
             timed[i].add(run(case))
             left[i], done = left[i] - 1, done + 1

@@ -1,7 +1,8 @@
-"""One run of a scene, looked at now and then: where the cloth was, what its steps cost, how much work they were."""
+"""One run of a scene, looked at now and then: where the cloth was, and what its steps cost."""
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,8 +15,9 @@ from sim.simulation import Simulation
 from sim.studies.cost.measures import Measures
 
 WORK = ("matvecs", "queries", "newton", "steps", "unconverged", "stood_in")
-"""Countable work of a step: matrix–vector products of the linear solver, pairs of features that contact looked
-at, Newton iterations; and steps, those whose solver did not converge, and those that another integrator took."""
+"""Countable work of a step: matrix–vector products of the linear solver, pairs of features that contact
+looked at, Newton iterations; and steps, those whose solver did not converge, and those that another
+integrator took."""
 
 CONTACT = ("contacts", "penetrations", "deepest")
 """What is largest in a step: contacts, vertices inside an obstacle, and how deep the deepest is [m]."""
@@ -31,6 +33,7 @@ class Case:
         every: Time from look to look [s]; a whole number of steps.
         looks: How many there are, after the one at the start.
         nudges: By how much each vertex is moved first: standard deviations [m], and seeds.
+        limit: Wall time after which no more looks are taken [s].
     """
 
     scene: Scene
@@ -38,6 +41,7 @@ class Case:
     every: float
     looks: int
     nudges: tuple[tuple[float, int], ...] = ()
+    limit: float = math.inf
 
 
 @dataclass
@@ -106,7 +110,7 @@ class _Interval:
 
 
 def run(case: Case) -> Trace:
-    """Make a run. A step that fails ends it; what was seen by then is kept."""
+    """Make a run. A step that fails ends it, or the end of its time; what was seen by then is kept."""
     world = Simulation(case.scene, **case.settings)
     for deviation, seed in case.nudges:
         noise = np.random.default_rng(seed).standard_normal(world.positions.shape)
@@ -114,7 +118,8 @@ def run(case: Case) -> Trace:
     measures, steps = Measures(world), round(case.every / world.settings.dt)
     looks, intervals = [measures.look()], [_Interval()]
     positions, stopped = [world.positions.copy()], ""
-    for _ in range(case.looks):
+    until = time.perf_counter() + case.limit
+    while len(looks) <= case.looks and (time.perf_counter() < until or len(looks) == 1):
         interval = _Interval()
         try:
             for _ in range(steps):

@@ -10,18 +10,31 @@ import tomli_w
 from msgspec import to_builtins
 
 from sim.studies.cost.front import cheapest
+from sim.studies.cost.measures import UNITS
 from sim.studies.cost.report import Run, Source, Verdict
 
 FRAME = 1 / 60
 """[s]."""
 
 DEEPER = 1e-4
-"""A run that ends deeper inside an obstacle than the chosen one, by more than this [m], is not recommended."""
+"""A run that ends deeper inside an obstacle than the chosen one, by more than this [m], is not
+recommended."""
+
+ENERGY = 10.0
+"""Nor is one whose energy is more wrong than that of the chosen one, and than so many times the target."""
 
 
 def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target: float) -> Verdict:
-    """The cheapest run that meets `target`, or the one that comes nearest to it."""
-    fit = [run for run in runs if run.deepest <= chosen.deepest + DEEPER]
+    """The cheapest run that meets `target`, or the one that comes nearest to it.
+
+    Args:
+        chosen: What is paid now; one of `runs`.
+        runs: To choose from.
+        sources: Of the error of the chosen run.
+        target: Relative error.
+    """
+    energy = max(chosen.error_energy, ENERGY * target)
+    fit = [run for run in runs if run.deepest <= chosen.deepest + DEEPER and run.error_energy <= energy]
     found = cheapest([run.ms for run in fit], [run.error for run in fit], target)
     best = fit[found] if found is not None else min(fit, key=lambda run: (run.error, run.ms))
     changed = to_builtins(best.changed)
@@ -39,7 +52,8 @@ def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target:
 
 def _sentence(chosen: Run, best: Run, target: float, met: bool) -> str:
     if not met:
-        begin = f"Nothing that was tried reaches {percent(target)} on this scene; the nearest, {percent(best.error)}, is"
+        reached = f"the nearest, {percent(best.error)}, is"
+        begin = f"Nothing that was tried reaches {percent(target)} on this scene; {reached}"
     else:
         begin = f"For {percent(target)} error on this scene the cheapest setting is"
     cost = f"{best.ms * FRAME:.3g} ms per frame, {1e3 / best.ms:.2g} × real time"
@@ -55,15 +69,24 @@ def dominant(sources: Sequence[Source]) -> str:
     if not known:
         return "No source of error could be told."
     (most, first), *others = known
-    words = f"At the chosen settings the {first.source} dominates: turned from {first.what} it moves the cloth by {percent(most)}"
+    words = (
+        f"At the chosen settings the {first.source} dominates: turned from {first.what} it moves the cloth"
+    )
+    words += f" by {percent(most)}"
     words += "".join(f", the {s.source} by {percent(change)}" for change, s in others) + "."
     mesh = next((s for s in sources if s.source == "mesh" and s.observables), None)
     if mesh is None:
         return words
-    name, moved = max(mesh.observables.items(), key=lambda item: abs(item[1]))
-    rest = max((abs(s.observables.get(name, 0.0)) for s in sources if s is not mesh), default=0.0)
-    more = "more" if abs(moved) > rest else "less"
-    return f"{words} A mesh twice as fine moves the {name} by {abs(moved):.2g}, {more} than any of these ({rest:.2g})."
+    rest = {
+        name: max((abs(s.observables.get(name, 0.0)) for s in sources if s is not mesh), default=0.0)
+        for name in mesh.observables
+    }
+    name = max(rest, key=lambda n: abs(mesh.observables[n]) / max(rest[n], 1e-12))
+    moved, other = abs(mesh.observables[name]), rest[name]
+    than = "more than any of these" if moved > other else "no more than one of these"
+    return (
+        f"{words} A mesh twice as fine moves the {name} by {moved:.2g} {UNITS[name]}, {than} ({other:.2g})."
+    )
 
 
 def percent(part: float) -> str:
@@ -81,7 +104,7 @@ def value_in_words(name: str, value: Any) -> str:
     if name == "dt":
         part = Fraction(value).limit_denominator(100_000)
         return f"{part} s" if part.numerator == 1 else f"{1e3 * value:.3g} ms"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
 def _toml(changed: dict[str, Any], best: Run, target: float, met: bool) -> str:
