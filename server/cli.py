@@ -275,10 +275,10 @@ class Compare:
 COMMANDS = {
     "lab": Lab,
     "run": Run,
-    "cost": Cost,
-    "compare": Compare,
     "check": Check,
     "scenes": Scenes,
+    "cost": Cost,
+    "compare": Compare,
     "study": Study,
     "bench": Bench,
 }
@@ -368,7 +368,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Cost | Compare | Check | Scenes | Study | Bench,
+                Lab | Run | Check | Scenes | Cost | Compare | Study | Bench,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from server.palette import BLACK, INK, STONE, VARIANTS, Rgb
-from sim.integrators import INTEGRATORS
+from sim.studies.cost.measures import UNITS
 from sim.studies.cost.plan import NEWTON, RESPONSE, SOLVED, STEP, TOLERANCE
 from sim.studies.cost.reference import MARGIN
 from sim.studies.cost.report import CompareReport, CostReport, Run
@@ -28,7 +28,7 @@ COLORS = (VERMILION, BLUE, VARIANTS[2], VARIANTS[0], VARIANTS[3], VARIANTS[1], I
 MARKERS, DASHES = "osD^vPX", ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)), (0, (1, 1)))
 HATCHES = ("", "///", "...", "xxx", "\\\\\\", "+++", "ooo")
 
-LOOKS = {
+LOOKS: dict[Any, Any] = {
     "font.size": 15,
     "axes.titlesize": 17,
     "axes.spines.top": False,
@@ -48,6 +48,15 @@ LOOKS = {
 }
 WIDE, TALL = (12.0, 6.75), (12.0, 7.5)
 """Inches, as a slide has it."""
+
+TITLES = {
+    "backward_euler": "backward Euler",
+    "bdf2": "BDF2",
+    "sdirk2": "SDIRK2",
+    "tr_bdf2": "TR-BDF2",
+    "symplectic_euler": "symplectic Euler",
+}
+"""Integrators as people write them; others are written as they are named."""
 
 MOST_BARS = 7
 """Bars for runs on the front; more cannot be read from the back row."""
@@ -187,12 +196,12 @@ def _work_precision(report: CostReport, cost: Callable[[Run], float], across: st
     figure, axes = _axes()
     worked = [run for run in report.runs if cost(run) > 0.0]
     _front(axes, [(cost(run), run.error) for run in worked if getattr(run, on)])
-    names = [name for name in INTEGRATORS if any(name in run.curves for run in worked)]
+    names = [c.name.removesuffix(f", {SOLVED}") for c in report.curves if c.name.endswith(SOLVED)]
     for i, name in enumerate(names):
         for curve, hollow in ((name, False), (f"{name}, {SOLVED}", True)):
             points = [(run.settings.dt, cost(run), run.error) for run in worked if curve in run.curves]
             if points:
-                _line_by_step(axes, points, i, name.replace("_", " ") + f", {SOLVED}" * hollow, hollow)
+                _line_by_step(axes, points, i, TITLES.get(name, name) + f", {SOLVED}" * hollow, hollow)
     _marks(axes, report, cost)
     _log_log(axes, across, "error, relative")
     axes.set_title(f"{report.scene}: what accuracy costs, first {report.horizon:.3g} s", loc="left")
@@ -321,7 +330,10 @@ def _bars(rows: Sequence[tuple[str, dict[str, float]]]) -> Figure:
     left = [0.0] * len(rows)
     for k, phase in enumerate(phases):
         widths = [FRAME * spent.get(phase, 0.0) for _, spent in rows]
-        look = {"color": COLORS[k % len(COLORS)].toward(Rgb(255, 255, 255), 0.35).css, "hatch": HATCHES[k]}
+        look: dict[str, Any] = {
+            "color": COLORS[k % len(COLORS)].toward(Rgb(255, 255, 255), 0.35).css,
+            "hatch": HATCHES[k],
+        }
         axes.barh(range(len(rows)), widths, left=left, label=phase, edgecolor=INK.css, height=0.65, **look)
         left = [a + b for a, b in zip(left, widths, strict=True)]
     for i, total in enumerate(left):
@@ -374,16 +386,10 @@ def _bands(report: CostReport) -> Figure:
             label = f"{band.settings}, {band.members} runs"
             axes.plot(band.times, band.mean, color=color, linestyle=DASHES[i], label=label)
         axes.axvline(report.horizon, color=INK.css, linewidth=1)
-        axes.set(title=name, xlabel="simulated time  [s]" if k > 1 else "", ylabel=f"[{_unit(name)}]")
+        axes.set(title=name, xlabel="simulated time  [s]" if k > 1 else "", ylabel=f"[{UNITS[name]}]")
         if k == 0:
             axes.legend()
     return figure
-
-
-def _unit(observable: str) -> str:
-    from sim.studies.cost.measures import UNITS
-
-    return UNITS[observable]
 
 
 def _variants(report: CompareReport) -> Figure:

@@ -40,25 +40,21 @@ def figures(report: CostReport | CompareReport) -> Figures:
 
 def page(report: CostReport | CompareReport, result: Result, figures: Figures) -> str:
     """The report as a page."""
-    cost = isinstance(report, CostReport)
+    verdict = report.verdict if isinstance(report, CostReport) else None
+    top = (verdict.sentence, verdict.dominates, verdict.toml) if verdict else ()
     horizon = "not told" if report.horizon is None else f"told up to {report.horizon:.3g} s"
     return _template().render(
         title=result.title,
         about=f"{report.vertices:,} vertices; {report.seconds:.3g} s simulated; errors are {horizon}. "
         f"{report.command} · {report.date}",
-        sentences=[report.verdict.sentence, report.verdict.dominates] if cost else [],
-        toml=report.verdict.toml if cost else "",
+        sentences=top[:2],
+        toml=verdict.toml if verdict else "",
         figures=[
             {"name": name, "caption": caption, "svg": inline_svg(figure, name)}
             for name, (caption, figure) in figures.items()
         ],
         tables=[_laid_out(table) for table in result.tables],
-        notes=[
-            note
-            for note in result.notes
-            if not cost
-            or note not in (report.verdict.sentence, report.verdict.dominates, report.verdict.toml)
-        ],
+        notes=[note for note in result.notes if note not in top],
     )
 
 
@@ -103,18 +99,8 @@ KNOBS = ("integrator", "dt", "newton", "tolerance")
 
 
 def _runs(report: CostReport) -> Table:
-    columns = (
-        "front",
-        "integrator",
-        "h",
-        "newton",
-        "tolerance",
-        "other",
-        "ms per frame",
-        "× real time",
-        "error [%]",
-    )
-    columns += ("energy [%]", "matvecs / s", "queries / s")
+    columns = ("", "integrator", "h", "Newton", "tol. [m]", "other", "ms/frame", "× real", "error %")
+    columns += ("energy %", "matvecs/s", "queries/s")
     order = sorted(report.runs, key=lambda run: run.ms)
     caption = f"Runs by cost ({FRONT}: on the Pareto front); milliseconds per frame of 1/60 s, medians"
     return Table(caption, columns, tuple(_run_row(report, run) for run in order))

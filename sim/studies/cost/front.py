@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
-def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
+def front(costs: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> list[bool]:
     """Which points are on the front: whatever costs as little or less has a larger error.
 
-    Of points alike in both, the first is.
+    Of points alike in both, the first is. Errors that differ by no more than `floor` are alike.
     """
     order = sorted(range(len(costs)), key=lambda i: (costs[i], errors[i]))
     on, best = [False] * len(costs), float("inf")
     for i in order:
-        if errors[i] < best:
+        if errors[i] < best - floor:
             on[i], best = True, errors[i]
     return on
 

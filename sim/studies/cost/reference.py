@@ -132,10 +132,10 @@ def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int) -> Ref
     """The error that says why no look is `comparable`."""
     looks = min([most + 1, len(reference.floor), *map(len, errors)])
     smallest = np.min([error[:looks] for error in errors], axis=0)
-    if not (smallest > ROUNDING).any():
+    if reference.floor[looks - 1] <= ROUNDING and smallest[-1] <= ROUNDING:
         return ReferenceError(
-            f"up to {reference.trace.times[looks - 1]:.3g} s every method is exact to rounding: there is "
-            "nothing to compare; ask for more --seconds, or another scene"
+            f"up to {reference.trace.times[looks - 1]:.3g} s methods are exact to rounding: there is nothing "
+            "to compare; ask for more --seconds, or another scene"
         )
     at = int(np.argmin(reference.floor[1:looks] / np.maximum(smallest[1:], ROUNDING))) + 1
     return ReferenceError(

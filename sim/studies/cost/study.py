@@ -269,8 +269,9 @@ class _Study:
                 failed.append(Failure(**about, reason=t.trace.stopped))
             else:
                 runs.append(Run(**about, **self._figures(t, reference, look)))
-        on = front([r.ms for r in runs], [r.error for r in runs])
-        by_work = front([r.matvecs or math.inf for r in runs], [r.error for r in runs])
+        errors, floor = [r.error for r in runs], float(reference.floor[look])
+        on = front([r.ms for r in runs], errors, floor)
+        by_work = front([r.matvecs or math.inf for r in runs], errors, floor)
         fronts = zip(runs, on, by_work, strict=True)
         return [replace(r, front=a, front_by_work=b) for r, a, b in fronts], failed
 

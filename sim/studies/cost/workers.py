@@ -83,7 +83,7 @@ def _pool(jobs: int) -> Iterator[concurrent.futures.Executor]:
 @contextlib.contextmanager
 def _dask(address: str) -> Iterator[Any]:
     try:
-        from distributed import Client
+        from distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ValueError(f"--cluster: not installed: pip install 'muslin[{EXTRA}]'") from None
     try:
