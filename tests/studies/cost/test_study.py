@@ -70,9 +70,10 @@ def test_the_floor_is_a_tenth_of_the_smallest_error_and_the_larger_of_both_check
     assert report.reference.dt == pytest.approx(min(r.settings.dt for r in report.runs) / 16)
 
 
-def test_a_reference_that_is_too_coarse_is_refused(swing):
+@pytest.mark.parametrize("finer", [1, 2, 4])
+def test_a_reference_that_is_too_coarse_is_refused(swing, finer):
     with pytest.raises(ReferenceError, match=r"the reference is too coarse: .* expected a tenth"):
-        cost(swing, seconds=0.2, effort=FEW, jobs=1, finer=1)
+        cost(swing, seconds=0.2, effort=FEW, jobs=1, finer=finer)
 
 
 def test_a_scene_on_which_every_method_is_exact_is_refused():
