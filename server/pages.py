@@ -81,10 +81,11 @@ def _cost_result(report: CostReport) -> Result:
     tables = [_runs(report), _phases(report), _sources(report)]
     tables += [table for table in (_meshes(report), _failed(report), _curves(report)) if table.rows]
     checks = ", ".join(f"{name} {apart:.1e}" for name, apart in report.reference.checks.items())
-    drift = f"e times every {report.growth.e_fold:.2g} s" if report.growth.e_fold else "by no exponential"
+    fold = report.growth.e_fold
+    drift = f"grow apart e times every {fold:.2g} s" if fold else "do not grow apart exponentially"
     notes = (
         f"Positions are compared up to {report.horizon:.3g} s: {report.why_horizon}. Runs moved by a hair "
-        f"grow apart {drift}.",
+        f"{drift}.",
         f"Reference: SDIRK2 with steps of {1e3 * report.reference.dt:.3g} ms. Its distance from what checks "
         f"it: {checks}; the larger one is the floor.",
         report.verdict.dominates,

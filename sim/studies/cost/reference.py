@@ -38,7 +38,7 @@ FINEST_TOLERANCE = 1e-12
 NEWTON = 8
 """Most Newton iterations of a run that is as good as converged."""
 
-REFERENCE_NEWTON = 3
+REFERENCE_NEWTON = 2
 """The same for the reference, whose steps are so short that its first guess is nearly right. What that leaves
 out shrinks with the step, so twice the step tells."""
 

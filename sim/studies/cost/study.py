@@ -31,7 +31,6 @@ from sim.studies.cost.nested import nested
 from sim.studies.cost.plan import SOLVED, USUAL, Effort, Planned
 from sim.studies.cost.reference import (
     FINER,
-    MARGIN,
     Reference,
     ReferenceError,
     comparable,
@@ -455,7 +454,7 @@ def _notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
         f"On curves named “{SOLVED}” equations are solved so well that all error is the time step's; on "
         "curves named after an integrator alone, Newton iterations are as chosen, and the tolerance goes "
         "with the step squared.",
-        f"The reference is known to a {MARGIN:.0f}th of the smallest error plotted, or the study would have "
+        "The reference is known to a tenth of the smallest error plotted, or the study would have "
         "been refused.",
         "Not recommended are settings that let cloth deeper into an obstacle than the chosen ones do, or "
         f"whose energy is more wrong than theirs and than {ENERGY:.0f} times the target.",
@@ -468,5 +467,7 @@ def _notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
             "there on."
         )
     if (fewest := min(len(run.ms_repeats) for run in runs)) < repeats:
-        notes.append(f"Time was up before all repeats: some runs were timed {fewest} times, not {repeats}.")
+        notes.append(
+            f"Time was up before all repeats: some runs were timed less often, down to {fewest} of {repeats}."
+        )
     return notes

@@ -33,7 +33,7 @@ class Case:
         every: Time from look to look [s]; a whole number of steps.
         looks: How many there are, after the one at the start.
         nudges: By how much each vertex is moved first: standard deviations [m], and seeds.
-        limit: Wall time after which no more looks are taken [s].
+        limit: Processor time after which no more looks are taken [s]; a busy computer does not change it.
     """
 
     scene: Scene
@@ -118,8 +118,8 @@ def run(case: Case) -> Trace:
     measures, steps = Measures(world), round(case.every / world.settings.dt)
     looks, intervals = [measures.look()], [_Interval()]
     positions, stopped = [world.positions.copy()], ""
-    until = time.perf_counter() + case.limit
-    while len(looks) <= case.looks and (time.perf_counter() < until or len(looks) == 1):
+    until = time.process_time() + case.limit
+    while len(looks) <= case.looks and (time.process_time() < until or len(looks) == 1):
         interval = _Interval()
         try:
             for _ in range(steps):
