@@ -170,7 +170,8 @@ def _log_log(axes: Axes, across: str, up: str) -> None:
     axes.xaxis.set_major_formatter(plain)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
     low, high = axes.get_xlim()
-    minor = FuncFormatter(lambda x, _: f"{x:g}" if f"{x:.0e}"[0] in "25" else "")
+    digits = "25" if high / low > 8.0 else "2345678"
+    minor = FuncFormatter(lambda x, _: f"{x:g}" if f"{x:.0e}"[0] in digits else "")
     axes.xaxis.set_minor_formatter(minor if high / low < 200.0 else NullFormatter())
     axes.yaxis.set_minor_formatter(NullFormatter())
 
@@ -397,7 +398,6 @@ def _variants(report: CompareReport) -> Figure:
     for i, v in enumerate(report.variants):
         if v.ms is not None and v.error:
             _line(axes, [(v.ms * FRAME, v.error)], i, v.name)
-            axes.annotate(v.name, (v.ms * FRAME, v.error), (12, 6), textcoords="offset points")
     floors = [v.floor for v in report.variants if v.floor]
     if floors:
         axes.axhline(max(floors), color=INK.css, linewidth=1.6)
@@ -405,5 +405,6 @@ def _variants(report: CompareReport) -> Figure:
         axes.text(0.005, max(floors), f"floor: the reference is known to {percent(max(floors))}", **note)
     _log_log(axes, "time per frame of 1/60 s  [ms]", "error, relative")
     axes.margins(x=0.3)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title=report.by)
     axes.set_title(f"{report.scene}: first {report.horizon:.3g} s, by {report.by}", loc="left")
     return figure

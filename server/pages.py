@@ -180,14 +180,14 @@ def _curves(report: CostReport) -> Table:
 def _compare_result(report: CompareReport) -> Result:
     horizon = "no error is told" if report.horizon is None else f"errors up to {report.horizon:.3g} s"
     notes = (f"Reference: {report.reference}; {horizon}.",)
-    return Result(
-        f"{report.scene} by {report.by}, {report.seconds:.3g} s", (_cost(report), _state(report)), notes
-    )
+    tables = _cost(report), _state(report), _observables(report), _stopped(report)
+    title = f"{report.scene} by {report.by}, {report.seconds:.3g} s"
+    return Result(title, tuple(table for table in tables if table.rows), notes)
 
 
 def _cost(report: CompareReport) -> Table:
     phases = list(dict.fromkeys(name for v in report.variants for name in v.phases))
-    columns = ("variant", "ms per frame", "× real time", *(f"{name} [ms]" for name in phases))
+    columns = (report.by, "ms per frame", "× real time", *(f"{name} [ms]" for name in phases))
     columns += ("matvecs / s", "queries / s", "error [%]", "floor [%]")
     return Table("Cost by phase, and error", columns, tuple(_cost_row(v, phases) for v in report.variants))
 
@@ -200,9 +200,8 @@ def _cost_row(v: Variant, phases: Sequence[str]) -> Row:
 
 
 def _state(report: CompareReport) -> Table:
-    names = list(dict.fromkeys(name for v in report.variants for name in v.observables))
-    columns = ("variant", "energy [J]", "change [J]", "largest rise [J]", "inside obstacles", "deepest [mm]")
-    columns += ("crossings", "longest edge [%]", *(f"{n} [{UNITS[n]}]" for n in names), "stopped")
+    columns = (report.by, "energy [J]", "change [J]", "largest rise [J]", "vertices inside", "deepest [mm]")
+    columns += ("crossings at the end", "longest edge [%]")
     rows = tuple(
         (
             v.name,
@@ -213,9 +212,18 @@ def _state(report: CompareReport) -> Table:
             1e3 * v.deepest,
             v.crossings,
             100.0 * v.stretch,
-            *(v.observables.get(name) for name in names),
-            v.stopped,
         )
         for v in report.variants
     )
-    return Table("How the cloth does; observables at the end", columns, rows)
+    return Table("Energy at the end, and how the cloth fared on the way", columns, rows)
+
+
+def _observables(report: CompareReport) -> Table:
+    names = list(dict.fromkeys(name for v in report.variants for name in v.observables))
+    rows = tuple((v.name, *(v.observables.get(name) for name in names)) for v in report.variants)
+    return Table("Observables at the end", (report.by, *(f"{n} [{UNITS[n]}]" for n in names)), rows)
+
+
+def _stopped(report: CompareReport) -> Table:
+    rows = tuple((v.name, v.stopped) for v in report.variants if v.stopped)
+    return Table("Runs that failed", (report.by, "why"), rows)

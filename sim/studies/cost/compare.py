@@ -138,7 +138,7 @@ class _Comparison:
             words = "none: it is not known to a tenth of the smallest error at any time"
         self.progress(1.0, "done")
         found = [
-            self._variant(f"{by} = {value_in_words(by, getattr(s, by))}", s, t, look, error, reference)
+            self._variant(value_in_words(by, getattr(s, by)), s, t, look, error, reference)
             for s, t, error, reference in zip(
                 self.variants, timed, errors, references or [None] * len(timed), strict=True
             )

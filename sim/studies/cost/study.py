@@ -57,9 +57,12 @@ FEWEST = 2
 SEED = 1e-6
 """By which ensembles' vertices are moved at first, as part of the cloth's size."""
 
-GROWTH_SHARE, REFERENCE_SHARE, ENSEMBLE_SHARE = 0.06, 0.25, 0.04
-"""Parts of the time of a study for each run that drifts apart, each reference, and each seeded run; what is
-reached by then is what is compared."""
+GROWTH_SHARE, REFERENCE_SHARE, SWEEP_SHARE, ENSEMBLE_SHARE = 0.06, 0.15, 0.55, 0.04
+"""Parts of the time of a study for each run that drifts apart, each reference, all timed runs, and each
+seeded run; what is reached by then is what is compared."""
+
+HARDER = 2.0
+"""Times that a step of a timed run takes longer than one of the reference, short and easy as these are."""
 
 LATER = 2.0
 """How much more expensive steps may be past the horizon, where cloth is folded."""
@@ -125,7 +128,7 @@ class _Study:
         self.scene, self.chosen, self.effort, self.target = scene, chosen, effort, target
         self.progress, self.run_all, self.finer = progress, run_all, finer
         self.every = planning.steps(chosen, effort)[0]
-        self.most = int(seconds / self.every + 1e-9)
+        self.most = self.known = int(seconds / self.every + 1e-9)
         progress(0.0, "getting kernels ready (the first run compiles them)")
         warm_up(replace(scene, settings=change(chosen, newton=max(chosen.newton, 3))))
         self.begin = time.perf_counter()
@@ -155,7 +158,7 @@ class _Study:
             chosen=self.chosen,
             horizon=horizon,
             floor=float(reference.floor[look]),
-            why_horizon=self._why(horizon, grown, len(reference.trace) - 1),
+            why_horizon=self._why(horizon, grown),
             growth=grown,
             reference=_truth(reference, look, refined),
             runs=runs,
@@ -205,13 +208,13 @@ class _Study:
     def _reference_step(self) -> float:
         return planning.steps(self.chosen, self.effort)[-1] / self.finer
 
-    def _why(self, horizon: float, grown: Growth, known: int) -> str:
+    def _why(self, horizon: float, grown: Growth) -> str:
         """Why errors are told up to the horizon and no longer."""
         if grown.reached and horizon >= grown.horizon - 0.5 * self.every:
             return "runs that differ by a hair differ visibly after that"
         if horizon >= (self.most - 0.5) * self.every:
             return "it was not asked for more"
-        if round(horizon / self.every) < known:
+        if round(horizon / self.every) < self.known:
             return "after that the reference is not known to a tenth of the smallest error"
         return "a longer reference would take too long for this effort; ask for --full"
 
@@ -224,8 +227,9 @@ class _Study:
             settings = reference_settings(self.chosen, dt / 2**refined)
             cases = [self._case(s, last, share=REFERENCE_SHARE) for s in settings]
             traces = self._made(cases, 0.15, 0.5, "the reference")
-            last = min(last, *(len(trace) - 1 for trace in traces))
+            last = min(last, *(len(trace) - 1 for trace in traces), self._affordable(traces[0], planned))
             reference = judge(traces, dt / 2**refined, self.masses, self.length)
+            self.known = last
             timed = timed or self._timed(planned, last)
             fine = [t.trace for t in timed if not t.trace.stopped]
             if not fine:
@@ -237,6 +241,14 @@ class _Study:
             if refined == self.effort.refinements:
                 raise refuse(reference, errors, last)
         raise AssertionError("unreachable")
+
+    def _affordable(self, reference: Trace, planned: Sequence[Planned]) -> int:
+        """Looks that every timed run can go on for twice: once to warm up, and once for the time."""
+        if math.isinf(self.effort.minutes):
+            return self.most
+        per_step = reference.seconds / reference.work["steps"].sum()
+        steps = 2 * sum(self.every / p.settings.dt for p in planned)
+        return max(FEWEST, int(SWEEP_SHARE * 60.0 * self.effort.minutes / (HARDER * per_step * steps)))
 
     def _timed(self, planned: Sequence[Planned], last: int) -> list[Timed]:
         cases = [self._case(asdict(p.settings), last) for p in planned]
@@ -413,7 +425,7 @@ def _truth(reference: Reference, look: int, refined: int) -> Truth:
         dt=reference.dt,
         floor=float(reference.floor[look]),
         checks={name: float(apart[: look + 1].max()) for name, apart in reference.checks.items()},
-        times=reference.trace.times.tolist(),
+        times=reference.trace.times[: len(reference.floor)].tolist(),
         floor_by_time=reference.floor.tolist(),
         refined=refined,
     )

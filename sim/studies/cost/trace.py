@@ -57,6 +57,7 @@ class Trace:
         ms: (k,) wall milliseconds of all steps since the look before, `phases` by phase.
         work: By name out of WORK, (k,) summed since the look before.
         contact: By name out of CONTACT, (k,) largest since the look before.
+        seconds: Processor time of all of it [s].
         stopped: Why it ended early; empty where it did not.
     """
 
@@ -70,6 +71,7 @@ class Trace:
     phases: dict[str, np.ndarray]
     work: dict[str, np.ndarray]
     contact: dict[str, np.ndarray]
+    seconds: float
     stopped: str = ""
 
     def __len__(self) -> int:
@@ -118,8 +120,8 @@ def run(case: Case) -> Trace:
     measures, steps = Measures(world), round(case.every / world.settings.dt)
     looks, intervals = [measures.look()], [_Interval()]
     positions, stopped = [world.positions.copy()], ""
-    until = time.process_time() + case.limit
-    while len(looks) <= case.looks and (time.process_time() < until or len(looks) == 1):
+    begun = time.process_time()
+    while len(looks) <= case.looks and (time.process_time() < begun + case.limit or len(looks) == 1):
         interval = _Interval()
         try:
             for _ in range(steps):
@@ -132,10 +134,12 @@ def run(case: Case) -> Trace:
         looks.append(measures.look())
         intervals.append(interval)
         positions.append(world.positions.copy())
-    return _trace(case, positions, looks, intervals, stopped)
+    return _trace(case, positions, looks, intervals, time.process_time() - begun, stopped)
 
 
-def _trace(case: Case, positions: list, looks: list, intervals: list[_Interval], stopped: str) -> Trace:
+def _trace(
+    case: Case, positions: list, looks: list, intervals: list[_Interval], seconds: float, stopped: str
+) -> Trace:
     def columns(rows: list[dict[str, float]]) -> dict[str, np.ndarray]:
         names = dict.fromkeys(name for row in rows for name in row)
         return {name: np.array([row.get(name, 0.0) for row in rows]) for name in names}
@@ -151,5 +155,6 @@ def _trace(case: Case, positions: list, looks: list, intervals: list[_Interval],
         phases=columns([interval.phases for interval in intervals]),
         work=columns([interval.work for interval in intervals]),
         contact=columns([interval.contact for interval in intervals]),
+        seconds=seconds,
         stopped=stopped,
     )

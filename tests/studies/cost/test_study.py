@@ -165,6 +165,18 @@ def test_a_step_that_fails_ends_a_run_with_its_reason_and_keeps_what_was_seen(sw
     assert 1 <= len(trace) < 31
 
 
+def test_work_is_summed_and_depth_is_the_largest_between_looks(landing):
+    settings, steps = {"contact": "penalty", "dt": 1 / 60}, 4
+    trace = run(Case(sim.load_scene(landing), settings, steps / 60, 4))
+    world = sim.Simulation(landing, **settings)
+    reports = [world.step() for _ in range(4 * steps)]
+    parts = [reports[i : i + steps] for i in range(0, 4 * steps, steps)]
+    assert trace.work["matvecs"][1:].tolist() == [sum(r.iterations for r in part) for part in parts]
+    assert trace.contact["deepest"][1:].tolist() == [max(r.deepest for r in part) for part in parts]
+    assert any(max(r.deepest for r in part) > part[-1].deepest for part in parts)
+    assert np.array_equal(trace.positions[-1], world.positions)
+
+
 def test_the_front_is_what_nothing_beats():
     costs, errors = [1.0, 2.0, 3.0, 4.0, 4.0], [9.0, 5.0, 6.0, 1.0, 1.0]
     assert front(costs, errors) == [True, True, False, True, False]
