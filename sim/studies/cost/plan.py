@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from msgspec.structs import asdict
-
 from sim.integrators import INTEGRATORS
 from sim.scene import Scene
 from sim.settings import FIELDS, Settings, change
-from sim.studies.cost.reference import converged, converged_tolerance
+from sim.studies.cost.reference import converged
 
 
 @dataclass(frozen=True)
@@ -111,65 +109,3 @@ def plan(scene: Scene, chosen: Settings, effort: Effort, contact: bool) -> list[
 
 def _within(name: str, value: float) -> float:
     return FIELDS[name].clamp(value)
-
-
-@dataclass(frozen=True)
-class Refinement:
-    """One knob turned towards more accuracy, all others as chosen.
-
-    Attributes:
-        source: Of the error that this shows.
-        what: Which values it goes from and to, in words.
-        changes: Settings.
-        level: Of a nested mesh, 0 for the scene's own.
-    """
-
-    source: str
-    what: str
-    changes: dict[str, Any]
-    level: int = 0
-
-
-STEP_PART = 4
-"""Part of the time step that its error is told by."""
-
-
-def refinements(
-    scene: Scene, chosen: Settings, contact: bool, mesh: dict[str, Any] | None
-) -> list[Refinement]:
-    """What the error of the chosen settings may come from.
-
-    Args:
-        scene: What is simulated.
-        chosen: The settings.
-        contact: Whether the cloth was seen to touch anything.
-        mesh: Stiffnesses for the mesh that is twice as fine, None where there is none.
-    """
-    dt, solved = chosen.dt / STEP_PART, converged_tolerance(chosen.dt)
-    scaled = _within("tolerance", chosen.tolerance / STEP_PART**2)  # else a short step is a badly solved one
-    found = [
-        Refinement("time step", f"{_ms(chosen.dt)} to {_ms(dt)}", {"dt": dt, "tolerance": scaled}),
-    ]
-    if INTEGRATORS[chosen.integrator].implicit:
-        most = max(8, 4 * chosen.newton)
-        found.append(Refinement("Newton iterations", f"{chosen.newton} to {most}", {"newton": most}))
-        if solved < chosen.tolerance:
-            words = f"tolerance {chosen.tolerance:.2g} m to {solved:.2g} m"
-            found.append(Refinement("linear solve", words, {"tolerance": solved}))
-    if contact and has_contact(scene, chosen):
-        thin = _within("thickness", 0.5 * chosen.thickness)
-        words = f"{1e3 * chosen.thickness:.2g} mm to {1e3 * thin:.2g} mm"
-        found.append(Refinement("contact thickness", words, {"thickness": thin}))
-    if mesh is not None:
-        found.append(Refinement("mesh", "edges half as long", mesh, level=1))
-    return found
-
-
-def _ms(dt: float) -> str:
-    return f"{1e3 * dt:.3g} ms"
-
-
-def differing(chosen: Settings, settings: Settings) -> dict[str, Any]:
-    """What `settings` has that `chosen` has not."""
-    before = asdict(chosen)
-    return {name: value for name, value in asdict(settings).items() if before[name] != value}

@@ -11,6 +11,7 @@ from msgspec import to_builtins
 
 from sim.studies.cost.front import cheapest
 from sim.studies.cost.measures import UNITS
+from sim.studies.cost.plan import SOLVED
 from sim.studies.cost.report import Run, Source, Verdict
 
 FRAME = 1 / 60
@@ -111,3 +112,36 @@ def _toml(changed: dict[str, Any], best: Run, target: float, met: bool) -> str:
     reach = f"for {percent(target)} error" if met else f"nearest to {percent(target)} error"
     head = f"# {reach}: {percent(best.error)} at {best.ms * FRAME:.3g} ms per frame\n"
     return head + tomli_w.dumps({"settings": changed})
+
+
+def notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
+    """What a reader must know to read a report right.
+
+    Args:
+        runs: That were made.
+        contact: Whether the cloth was seen to touch anything.
+        repeats: Timed runs that were planned of each.
+    """
+    found = [
+        "All runs start from the same state and simulate the same cloth; errors are mass-weighted distances "
+        "from the reference as part of the cloth's diagonal, the largest up to the horizon.",
+        f"On curves named “{SOLVED}” equations are solved so well that all error is the time step's; on "
+        "curves named after an integrator alone, Newton iterations are as chosen, and the tolerance goes "
+        "with the step squared.",
+        "The reference is known to a tenth of the smallest error plotted, or the study would have "
+        "been refused.",
+        "Not recommended are settings that let cloth deeper into an obstacle than the chosen ones do, or "
+        f"whose energy is more wrong than theirs and than {ENERGY:.0f} times the target.",
+    ]
+    stood_in = max((run.stood_in for run in runs), default=0.0)
+    if contact:
+        found.append(
+            "Cloth touches something here: a step that feels a contact is one of backward Euler whatever the "
+            f"integrator (up to {stood_in:.0%} of the steps), so no method is of more than first order from "
+            "there on."
+        )
+    if (fewest := min(len(run.ms_repeats) for run in runs)) < repeats:
+        found.append(
+            f"Time was up before all repeats: some runs were timed less often, down to {fewest} of {repeats}."
+        )
+    return found
