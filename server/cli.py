@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+import shlex
 import sys
 from dataclasses import dataclass
 from typing import Annotated
@@ -171,7 +172,116 @@ class Bench:
         return run_bench(self.sizes, self.threads or None, self.steps, self.seconds, self.peers, **files)
 
 
-COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes, "study": Study, "bench": Bench}
+@dataclass(kw_only=True)
+class Cost:
+    """Measure what accuracy costs on a scene: error against time for many settings, and which to take."""
+
+    scene: Annotated[str, Positional, arg(metavar="SCENE")] = ""
+    """A scene file, or one of `muslin scenes`."""
+    seconds: float = 1.0
+    """Time to simulate [s]; positions are compared for as long as that means something."""
+    overrides: Annotated[UseAppendAction[tuple[Texts, ...]], arg(name="set", metavar="NAME=VALUE ...")] = ()
+    """Settings that differ from the scene's; together they are the chosen ones."""
+    target: float = 0.01
+    """Relative error that the recommendation is for."""
+    quick: bool = False
+    """Fewer runs: about a minute."""
+    full: bool = False
+    """All integrators, finer steps, more repeats: as long as it takes."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write all numbers as JSON, with hardware and versions."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write a page with plots and tables that needs no network."""
+    plots: Annotated[str | None, arg(metavar="DIR")] = None
+    """Write each plot as PNG and SVG into a folder."""
+    jobs: int = 0
+    """Processes for runs that are not timed; as many as there are cores if 0."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """A Dask scheduler for these instead, such as tcp://10.0.0.1:8786; needs the extra `cluster`."""
+    schema: bool = False
+    """Only print the JSON schema of what --json writes."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.cost import print_schema, run_study
+
+        if self.schema:
+            return print_schema("cost")
+        if self.quick and self.full:
+            raise ValueError("--quick: expected one of --quick and --full, got both")
+        scene, overrides = _scene_and_settings(self.scene, self.overrides)
+
+        def measure(progress):
+            from sim.studies.cost.plan import FULL, QUICK, USUAL
+            from sim.studies.cost.study import cost
+
+            effort = QUICK if self.quick else FULL if self.full else USUAL
+            about = overrides, self.seconds, effort, self.target, progress, self.jobs or None, self.cluster
+            return cost(scene, *about)
+
+        options = {"seconds": self.seconds, "target": self.target, "quick": self.quick, "full": self.full}
+        command = _command("cost", self.scene, self.overrides, **options)
+        return run_study(measure, command, self.json, self.html, self.plots)
+
+
+@dataclass(kw_only=True)
+class Compare:
+    """Run a scene under several values of one setting, and say what each costs and how wrong it is."""
+
+    scene: Annotated[str, Positional, arg(metavar="SCENE")] = ""
+    """A scene file, or one of `muslin scenes`."""
+    by: Annotated[str, arg(metavar="NAME=A,B,C")] = ""
+    """The setting and its values, such as contact=penalty,impulse; what the scene compares if left out."""
+    seconds: float = 1.0
+    """Time to simulate [s]; errors are told for as long as that means something."""
+    overrides: Annotated[UseAppendAction[tuple[Texts, ...]], arg(name="set", metavar="NAME=VALUE ...")] = ()
+    """Other settings that differ from the scene's."""
+    repeats: int = 3
+    """Timed runs of each value."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write all numbers as JSON, with hardware and versions."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write a page with plots and tables that needs no network."""
+    plots: Annotated[str | None, arg(metavar="DIR")] = None
+    """Write each plot as PNG and SVG into a folder."""
+    jobs: int = 0
+    """Processes for runs that are not timed; as many as there are cores if 0."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """A Dask scheduler for these instead, such as tcp://10.0.0.1:8786; needs the extra `cluster`."""
+    schema: bool = False
+    """Only print the JSON schema of what --json writes."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.cost import print_schema, run_study
+
+        if self.schema:
+            return print_schema("compare")
+        scene, overrides = _scene_and_settings(self.scene, self.overrides)
+        name, values = parse_values(self.by) if self.by else (scene.compare.by, list(scene.compare.values))
+
+        def measure(progress):
+            from sim.studies.cost.compare import compare
+
+            about = overrides, self.seconds, self.repeats, progress, self.jobs or None, self.cluster
+            return compare(scene, name, values, *about)
+
+        by = self.by or f"{name}={','.join(map(str, values))}"
+        options = {"by": by, "seconds": self.seconds, "repeats": self.repeats}
+        command = _command("compare", self.scene, self.overrides, **options)
+        return run_study(measure, command, self.json, self.html, self.plots)
+
+
+COMMANDS = {
+    "lab": Lab,
+    "run": Run,
+    "check": Check,
+    "scenes": Scenes,
+    "cost": Cost,
+    "compare": Compare,
+    "study": Study,
+    "bench": Bench,
+}
 
 DESCRIPTION = """Try cloth simulation methods side by side.
 
@@ -209,6 +319,20 @@ def parse_settings(texts: list[str]) -> dict[str, object]:
     return settings
 
 
+def parse_values(text: str) -> tuple[str, list[object]]:
+    """A setting and its values from a text `name=a,b,c`; ValueError names the setting and what is allowed.
+
+    Between vectors stand semicolons: gravity=0,0,-9.81;0,0,-1.62.
+    """
+    from sim.settings import FIELDS, parse
+
+    name, equals, values = (part.strip() for part in text.partition("="))
+    if not equals or not values:
+        raise ValueError(f"--by: expected name=a,b,c, got {text!r}")
+    between = ";" if name in FIELDS and FIELDS[name].type == "vector" else ","
+    return name, [parse(name, value.strip()) for value in values.split(between)]
+
+
 def count_vertices(scene: sim.Scene) -> int | None:
     """Vertices of a scene without building its mesh; None where only building it can tell."""
     from sim.scene import Arrays, Equilateral, Grid
@@ -244,7 +368,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Check | Scenes | Study | Bench,
+                Lab | Run | Check | Scenes | Cost | Compare | Study | Bench,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,
@@ -254,6 +378,22 @@ def _parse(arguments: list[str]):
         if ending.code:
             _complain(f"{first}: {_first_line(problem.getvalue())}; see muslin {first} --help")
         raise
+
+
+def _scene_and_settings(name: str, overrides: tuple[Texts, ...]) -> tuple[sim.Scene, dict[str, object]]:
+    """The scene that a study is about, and the settings that differ from its own."""
+    if not name:
+        raise ValueError("SCENE: expected a scene file, or one of `muslin scenes`, got none")
+    return load_scene(name), parse_settings([text for texts in overrides for text in texts])
+
+
+def _command(name: str, scene: str, overrides: tuple[Texts, ...], **options: object) -> str:
+    """What to type for the same measurement again."""
+    words = ["muslin", name, scene]
+    for option, value in options.items():
+        words += [f"--{option}"] if value is True else [f"--{option}", f"{value}"] if value else []
+    settings = [text for texts in overrides for text in texts]
+    return shlex.join([*words, *(["--set", *settings] if settings else [])])
 
 
 def _first_line(box: str) -> str:

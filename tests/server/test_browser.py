@@ -1,26 +1,16 @@
 """The page in a real browser, on real simulations."""
 
-import os
-import shutil
-
 import numpy as np
 import pytest
 from fake_world import FakeWorld, nothing_to_compile, wait_until
 
 from server.lab import Lab
+from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None
-)
-REQUIRED = os.environ.get("MUSLIN_REQUIRE_BROWSER") == "1"
-WITHOUT_GPU = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PATIENCE = 120_000
 """Milliseconds that a browser without a graphics card may take over anything."""
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, WITHOUT_BROWSER]
 
 CHAIN = {
     "cloth": {"vertices": [[0.1 * i, 0.0, 1.0] for i in range(10)], "edges": [[i, i + 1] for i in range(9)]},
