@@ -171,7 +171,51 @@ class Bench:
         return run_bench(self.sizes, self.threads or None, self.steps, self.seconds, self.peers, **files)
 
 
-COMMANDS = {"lab": Lab, "run": Run, "check": Check, "scenes": Scenes, "study": Study, "bench": Bench}
+@dataclass(kw_only=True)
+class Stress:
+    """Run the battery of hard cases: what each measured, held against its mark."""
+
+    short: bool = False
+    """The cases that take minutes, with a few seeds each; this is what happens anyway."""
+    full: bool = False
+    """All cases with all their seeds, within an hour."""
+    case: Annotated[Texts, arg(metavar="NAME ...")] = ()
+    """Only these cases; C2 means all whose names begin with C2-."""
+    seed: int = 0
+    """Of the first run of each case; those of the others follow."""
+    runs: int | None = None
+    """Runs of each case; a case knows how many it needs if left out."""
+    jobs: int | None = None
+    """Processes, one thread each; as many as there are cores if left out."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write what was found as JSON."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write the same as a page, with a picture of how each case ended."""
+    keep: Annotated[str | None, arg(metavar="FOLDER")] = None
+    """Keep scene, settings and state of what fails."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Run on the workers of a Dask scheduler, such as tcp://10.0.0.1:8786 (the extra `cluster`)."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.stress import run_stress
+
+        if self.short and self.full:
+            raise ValueError("--short: expected only one of --short and --full, got both")
+        how = {"full": self.full, "seed": self.seed, "runs": self.runs, "jobs": self.jobs}
+        files = {"json": self.json, "html": self.html, "keep": self.keep}
+        return run_stress(self.case, cluster=self.cluster, **how, **files)
+
+
+COMMANDS = {
+    "lab": Lab,
+    "run": Run,
+    "check": Check,
+    "scenes": Scenes,
+    "study": Study,
+    "bench": Bench,
+    "stress": Stress,
+}
 
 DESCRIPTION = """Try cloth simulation methods side by side.
 
@@ -244,7 +288,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Check | Scenes | Study | Bench,
+                Lab | Run | Check | Scenes | Study | Bench | Stress,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,
