@@ -106,13 +106,16 @@ def backward_euler(
         forces = model.linearise(at, velocities, contacts, h, exact)
         linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         if exact and linear.broken:
-            forces = model.linearise(at, velocities, contacts, h)
+            exact, forces = False, model.linearise(at, velocities, contacts, h)
             linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         iterations += linear.iterations
         end = velocities + linear.step
         if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
-            none = np.zeros_like(guess)
-            linear = _solve(model, loose, settings, forces, change, linear.step, none, h)
+            known = linear.step, np.zeros_like(guess)
+            linear = _solve(model, loose, settings, forces, change, *known, h)
+            if exact and linear.broken:  # what the first solve did not come across, this one may
+                forces = model.linearise(at, velocities, contacts, h)
+                linear = _solve(model, loose, settings, forces, change, *known, h)
             iterations += linear.iterations
         if linear.broken:
             raise SolveError("the linear system is not positive definite or not finite")
