@@ -28,7 +28,7 @@ THEMES = ("numerics", "contact", "sweep")
 """The files with the cases, in the order in which they are run."""
 
 SHORT_SECONDS, SHORT_RUNS = 20.0, 2
-"""A case that takes longer than this [s] is left out of the short battery; others run this often in it."""
+"""Cases that take longer [s] are left out of the short battery; others run this often, or as they say."""
 
 Run = Callable[["Probe"], "Iterator[Figure]"]
 
@@ -97,6 +97,7 @@ class Case:
         run: Yields its figures.
         seconds: About what one run takes on one core [s].
         runs: Seeds that it is run with in the full battery.
+        short: And in the short one.
         theme: The file that it is in.
     """
 
@@ -105,6 +106,7 @@ class Case:
     run: Run
     seconds: float
     runs: int
+    short: int
     theme: str
 
     @property
@@ -125,13 +127,16 @@ CASES: dict[str, Case] = {}
 """Every case by name, once its file has been imported."""
 
 
-def case(name: str, title: str, *, seconds: float, runs: int = 1) -> Callable[[Run], Run]:
+def case(
+    name: str, title: str, *, seconds: float, runs: int = 1, short: int = SHORT_RUNS
+) -> Callable[[Run], Run]:
     """Register the function below as a case; `Case` says what the arguments are."""
 
     def register(run: Run) -> Run:
         if name in CASES:
             raise ValueError(f"{name}: there is a case of this name")
-        CASES[name] = Case(name, title, run, seconds, runs, run.__module__.rpartition(".")[2])
+        theme = run.__module__.rpartition(".")[2]
+        CASES[name] = Case(name, title, run, seconds, runs, min(short, runs), theme)
         return run
 
     return register
@@ -173,5 +178,5 @@ def plan(chosen: Sequence[Case], full: bool = False, seed: int = 0, runs: int | 
         seed: Of the first run of each case; those of the others follow.
         runs: Of each case, if it is not for the case to say.
     """
-    many = {case.name: runs or (case.runs if full else min(case.runs, SHORT_RUNS)) for case in chosen}
+    many = {case.name: runs or (case.runs if full else case.short) for case in chosen}
     return [Task(case.name, seed + k) for case in chosen for k in range(many[case.name])]
