@@ -27,7 +27,7 @@ ROUND = 9
 """Rings of a sphere."""
 
 PIECES = 10
-"""Obstacles are cut into triangles no longer than this part of the cloth, so that what is behind is hidden."""
+"""Obstacles are cut into triangles of at most the cloth's size over this, to hide what is behind them."""
 
 
 def drawing(picture: Picture, title: str) -> str:

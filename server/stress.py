@@ -19,6 +19,9 @@ from sim import stress
 from sim.stress import Figure
 from sim.stress.verdict import Verdict
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
 BAD, GOOD = "#b3261e", "#00694c"
 """Of verdicts; words say the same."""
 
@@ -48,7 +51,7 @@ def run_stress(
         cluster: Address of a Dask scheduler.
 
     Returns:
-        0, or 1 where a case failed.
+        0, 1 where a case failed, or 130 after Ctrl-C, which ends it with what was found by then.
 
     Raises:
         ValueError, OSError: before anything is run, for a call that makes no sense.
@@ -65,16 +68,19 @@ def run_stress(
     tasks = stress.plan(chosen, full, seed, runs)
     verdicts = {c.name: Verdict(c, sum(task.name == c.name for task in tasks)) for c in chosen}
     tasks.sort(key=lambda task: -verdicts[task.name].case.seconds)  # long ones first, so that none is left
-    printer = Printer()
-    with printer.status(len(tasks)) as done:
-        for outcome in run_tasks(tasks, jobs, cluster):
-            verdict = verdicts[outcome.task.name]
-            verdict.add(outcome)
-            if keep is not None:
-                verdict.kept += keep_failure(outcome, keep)
-            done(outcome.task.name)
-            if verdict.complete:
-                printer.verdict(verdict)
+    printer, interrupted = Printer(), False
+    try:
+        with printer.status(len(tasks)) as done:
+            for outcome in run_tasks(tasks, jobs, cluster):
+                verdict = verdicts[outcome.task.name]
+                verdict.add(outcome)
+                if keep is not None:
+                    verdict.kept += keep_failure(outcome, keep)
+                done(outcome.task.name)
+                if verdict.complete:
+                    printer.verdict(verdict)
+    except KeyboardInterrupt:
+        interrupted = True
     found = list(verdicts.values())
     printer.summary(found)
     about = conditions(full, seed)
@@ -83,6 +89,8 @@ def run_stress(
     if html is not None:
         page = as_html(found, about).encode()
         write_whole(html, lambda stream: stream.write(page))
+    if interrupted:
+        return INTERRUPTED
     return 0 if all(verdict.passed for verdict in found) else 1
 
 
@@ -275,8 +283,10 @@ def as_html(verdicts: Sequence[Verdict], about: dict[str, object]) -> str:
     versions = about["versions"] if isinstance(about["versions"], dict) else {}
     packages = ", ".join(f"{name} {version}" for name, version in versions.items())
     return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="UTF-8"><meta name="viewport" content="width=device-width">'
-        f"<title>Muslin: the battery</title><style>{STYLE}.card svg{{background:{BACKGROUND}}}</style></head><body>"
+        '<!DOCTYPE html><html lang="en"><head><meta charset="UTF-8">'
+        '<meta name="viewport" content="width=device-width">'
+        f"<title>Muslin: the battery</title><style>{STYLE}.card svg{{background:{BACKGROUND}}}</style></head>"
+        "<body>"
         f"<h1>Muslin: the {about['battery']} battery</h1><p>{escape(counts(verdicts))}</p>"
         f'<p class="dim">{about["date"]}, seed {about["seed"]}; {escape(packages)}</p>'
         f'<table><tr>{head}</tr>{"".join(lines)}</table><div class="cards">{cards}</div></body></html>\n'

@@ -69,7 +69,7 @@ def crossing_ways(
     return np.concatenate([corners - when * way, corners + (1.0 - when) * way]), when
 
 
-@case("C1-queries", "pairs that fly at each other at 10 to 1e6 times their size in a step", seconds=1.0)
+@case("C1-queries", "pairs that fly at each other at 10 to 1e6 times their size in a step", seconds=0.3)
 def fast_queries(probe: Probe) -> Iterator[Figure]:
     """Continuous detection is asked about 240 vertices and triangles and 240 pairs of edges that meet."""
     missed, late = 0, 0.0
@@ -84,7 +84,7 @@ def fast_queries(probe: Probe) -> Iterator[Figure]:
     yield at_most("reported late by", late, LATE, "of the step")
 
 
-@case("C1-sphere", "a sphere of 5 cm shot through a pinned cloth at 100 m/s", seconds=3.0, runs=CAREFUL)
+@case("C1-sphere", "a sphere of 5 cm shot through a pinned cloth at 100 m/s", seconds=0.5, runs=CAREFUL)
 def fast_sphere(probe: Probe) -> Iterator[Figure]:
     """In one step of 1/30 s it comes, passes where the cloth hangs and is gone; the cloth must stay ahead."""
     way = [{"time": 0.1, "position": [0, 0, -0.5]}, {"time": 0.11, "position": [0, 0, 0.5]}]
@@ -132,7 +132,7 @@ def on_a_needle() -> dict[str, object]:
     return felt([grid((0.3, 0.3), (9, 9), position=[0, 0, 0.05]), needle], **HEAVY, jitter=JITTER)
 
 
-@case("C2-wire", "a sheet falls across a wire", seconds=4.0, runs=CAREFUL)
+@case("C2-wire", "a sheet falls across a wire", seconds=0.3, runs=CAREFUL)
 def wire(probe: Probe) -> Iterator[Figure]:
     """Only pairs of edges can meet: vertices against triangles alone would see nothing of it."""
     trial = probe.start(on_a_wire(), judged=True)
@@ -142,7 +142,7 @@ def wire(probe: Probe) -> Iterator[Figure]:
     yield reported("vertices held back", held_back(trial))
 
 
-@case("C2-needle", "a sheet falls on the tip of a needle", seconds=4.0, runs=CAREFUL)
+@case("C2-needle", "a sheet falls on the tip of a needle", seconds=0.5, runs=CAREFUL)
 def needle(probe: Probe) -> Iterator[Figure]:
     """The tip meets a triangle of the sheet, and the needle's long edges the sheet's."""
     trial = probe.start(on_a_needle(), judged=True)
@@ -152,7 +152,7 @@ def needle(probe: Probe) -> Iterator[Figure]:
     yield reported("vertices held back", held_back(trial))
 
 
-@case("C2-box", "a sheet falls on a box of 2 mm on its edge", seconds=3.0, runs=CAREFUL)
+@case("C2-box", "a sheet falls on a box of 2 mm on its edge", seconds=0.3, runs=CAREFUL)
 def thin_box(probe: Probe) -> Iterator[Figure]:
     """The sheet's edges are 5 cm long: the box fits between its vertices."""
     box = {"kind": "box", "center": [0, 0.013, -0.1], "size": [0.8, 2e-3, 0.2]}
@@ -183,7 +183,7 @@ def blind_to_edges() -> Iterator[None]:
         yield
 
 
-@case("C2-blind", "the wire without pairs of edges must fail", seconds=4.0)
+@case("C2-blind", "the wire without pairs of edges must fail", seconds=0.3)
 def blind(probe: Probe) -> Iterator[Figure]:
     """What C2-wire is worth: with pairs of edges switched off, the judge must see the wire go through."""
     trial = probe.start(on_a_wire(), judged=True)
@@ -252,7 +252,7 @@ def jaw_path(side: float, near: float, far: float, height: float) -> list[dict[s
 @case(
     "C3-spheres",
     "cloth between two spheres that close to a fifth of its thickness",
-    seconds=2.0,
+    seconds=0.8,
     runs=CAREFUL,
 )
 def pinching_spheres(probe: Probe) -> Iterator[Figure]:
@@ -264,7 +264,7 @@ def pinching_spheres(probe: Probe) -> Iterator[Figure]:
     yield from pinch(probe, jaws)
 
 
-@case("C3-boxes", "cloth between two boxes that close to a fifth of its thickness", seconds=2.0, runs=CAREFUL)
+@case("C3-boxes", "cloth between two boxes that close to a fifth of its thickness", seconds=0.8, runs=CAREFUL)
 def pinching_boxes(probe: Probe) -> Iterator[Figure]:
     """As between spheres, but flat sides hold a patch of it."""
     box = {"kind": "box", "size": [0.1, 0.2, 0.1], "motion": "linear"}
@@ -308,7 +308,7 @@ def tube_triangles(around: int, rows: int) -> list[list[int]]:
     return np.concatenate(corners).reshape(-1, 3).tolist()
 
 
-@case("C4-funnel", "a sheet is pushed through a funnel", seconds=8.0, runs=CAREFUL)
+@case("C4-funnel", "a sheet is pushed through a funnel", seconds=4.0, runs=CAREFUL)
 def funnel(probe: Probe) -> Iterator[Figure]:
     """It must crumple to come through the neck, under its weight and a ball (Harmon et al. 2008)."""
     neck, depth = 0.09, 0.25
@@ -351,7 +351,7 @@ def mirrored(half: list[list[float]]) -> np.ndarray:
     return np.concatenate([there, there[::-1][there[::-1, 1] != 0.0] * [1.0, -1.0, 1.0]])
 
 
-@case("C4-reef-knot", "a reef knot is pulled tight", seconds=8.0, runs=CAREFUL)
+@case("C4-reef-knot", "a reef knot is pulled tight", seconds=3.0, runs=CAREFUL)
 def reef_knot(probe: Probe) -> Iterator[Figure]:
     """One ribbon is held by its ends, and the heavier one that is knotted into it pulls away at 3 g."""
     unit = 0.06
@@ -409,7 +409,7 @@ MOST_SUBSTEPS = 32
 # C5: turning
 
 
-@case("C5", "a sheet on a turning sphere, without friction and with", seconds=4.0)
+@case("C5", "a sheet on a turning sphere, without friction and with", seconds=1.2)
 def turning(probe: Probe) -> Iterator[Figure]:
     """Friction alone turns it: without, normals pass through the axis (Bridson, Fedkiw and Anderson 2002)."""
     rate = 2.0  # slow enough for backward Euler, which itself slows a turn by ω² h per second
@@ -455,7 +455,7 @@ def incline(
     return made, np.array([math.cos(angle), 0.0, -math.sin(angle)]), angle
 
 
-@case("C6", "the friction cone on an incline, and the way of sliding cloth", seconds=6.0)
+@case("C6", "the friction cone on an incline, and the way of sliding cloth", seconds=1.0)
 def cone(probe: Probe) -> Iterator[Figure]:
     """Cloth rests at 0.95 of the slope that friction holds, slides at 1.05, and stops after v²/2μg."""
     for contact in ("penalty", "impulse"):
@@ -504,7 +504,7 @@ def stopping_error(probe: Probe, contact: str) -> float:
 # C7: stacks
 
 
-@case("C7", "three sheets fall on a plane and come to rest", seconds=10.0, runs=CAREFUL)
+@case("C7", "three sheets fall on a plane and come to rest", seconds=4.0, runs=CAREFUL)
 def stacked(probe: Probe) -> Iterator[Figure]:
     """They keep their order, each a thickness above the one below."""
     trial = probe.start(stack({"kind": "plane"}, jitter=JITTER), judged=True)
@@ -513,7 +513,7 @@ def stacked(probe: Probe) -> Iterator[Figure]:
     yield from layers(trial.world)
 
 
-@case("C7-heavy", "a heavy sphere comes down on three sheets", seconds=10.0, runs=CAREFUL)
+@case("C7-heavy", "a heavy sphere comes down on three sheets", seconds=3.0, runs=CAREFUL)
 def pressed(probe: Probe) -> Iterator[Figure]:
     """Pressed against the floor with as much room as they need and a tenth more, they keep their order."""
     room, radius = 3.0 * 6e-3 * 1.1, 0.5
@@ -543,7 +543,7 @@ def layers(world: Simulation) -> Iterator[Figure]:
 def calm_scene(name: str) -> None:
     """Register one of the scenes in which cloth meets itself."""
 
-    @case(f"C8-{name.replace(' ', '-')}", f"{name}, judged at every step", seconds=5.0, runs=CAREFUL)
+    @case(f"C8-{name.replace(' ', '-')}", f"{name}, judged at every step", seconds=1.5, runs=CAREFUL)
     def scenes(probe: Probe) -> Iterator[Figure]:
         """Forty steps of cloth that lies on itself, falls shut, crumples, unrolls or is pressed."""
         trial = probe.start(SCENES[name](jitter=JITTER, seed=probe.seed), judged=True)
@@ -557,7 +557,7 @@ for _name in SCENES:
     calm_scene(_name)
 
 
-@case("C8-twist", "a ribbon twisted twice and slack buckles into itself", seconds=8.0, runs=CAREFUL)
+@case("C8-twist", "a ribbon twisted twice and slack buckles into itself", seconds=1.6, runs=CAREFUL)
 def twist(probe: Probe) -> Iterator[Figure]:
     """It winds up about itself in the middle, as telephone cords did, and comes to rest in contact."""
     length, width, rows, turns, slack = 0.8, 0.08, 41, 2.5, 0.6
@@ -584,7 +584,7 @@ def twist(probe: Probe) -> Iterator[Figure]:
     yield at_most("largest strain at the end", np.abs(strains(trial.world)).max(), 0.1)
 
 
-@case("C8-flip", "a hanging sheet whose gravity is turned over", seconds=15.0, runs=CAREFUL)
+@case("C8-flip", "a hanging sheet whose gravity is turned over", seconds=1.2, runs=CAREFUL)
 def flip(probe: Probe) -> Iterator[Figure]:
     """It falls up past its pins, through where it hung, and folds over itself on the way."""
     cloth = grid((0.4, 0.6), (11, 16), rotation=[math.pi / 2, 0, 0], pins=["top"])
@@ -622,7 +622,7 @@ def gains(trial: Trial, steps: int) -> tuple[float, float]:
     return gained, turned
 
 
-@case("C9-flag", "a flag in gusts", seconds=15.0, runs=CAREFUL)
+@case("C9-flag", "a flag in gusts", seconds=6.0, runs=CAREFUL)
 def flag(probe: Probe) -> Iterator[Figure]:
     """A pull that turns every quarter of a second is all the wind; energy grows by its work alone."""
     cloth = grid((0.6, 0.4), (16, 11), rotation=[math.pi / 2, 0, 0], pins=["left"])
@@ -637,7 +637,7 @@ def flag(probe: Probe) -> Iterator[Figure]:
     yield at_most("energy beyond the work of the wind, over what was turned over", gained / turned, BOUNDED)
 
 
-@case("C9-corner", "a sheet thrown on the corner of a box", seconds=10.0, runs=CAREFUL)
+@case("C9-corner", "a sheet thrown on the corner of a box", seconds=9.0, runs=CAREFUL)
 def thrown(probe: Probe) -> Iterator[Figure]:
     """At 3 m/s; it folds about the corner, and its energy only falls."""
     box = {"kind": "box", "center": [0, 0, 0], "size": [0.2, 0.2, 0.2]}
@@ -664,7 +664,7 @@ ROUNDING = 1e-12
 """Part of the momentum that goes to and fro in a step."""
 
 
-@case("C10", "one vertex and one triangle, or two edges, that meet", seconds=2.0)
+@case("C10", "one vertex and one triangle, or two edges, that meet", seconds=0.5)
 def one_impact(probe: Probe) -> Iterator[Figure]:
     """They stop closing, momentum stays, and friction is within its cone."""
     lost, closing, beyond = 0.0, 0.0, 0.0
@@ -699,7 +699,7 @@ def impact(trial: Trial, kind: str, friction: float, speed: float) -> tuple[floa
     return lost, max(-parting(kind, world) / speed, 0.0), beyond
 
 
-@case("C11", "clusters of loose triangles that fly into each other", seconds=6.0, runs=CAREFUL)
+@case("C11", "clusters of loose triangles that fly into each other", seconds=0.4, runs=CAREFUL)
 def clusters(probe: Probe) -> Iterator[Figure]:
     """Up to twenty triangles, held by nothing, at 3 m/s to one point: all their impacts at once."""
     x = loose_triangles(probe.random, 20)
@@ -741,7 +741,7 @@ def loose_triangles(random: np.random.Generator, count: int) -> np.ndarray:
 # C12: the last resort, and bits
 
 
-@case("C12", "no impulse finds a way", seconds=6.0, runs=CAREFUL)
+@case("C12", "no impulse finds a way", seconds=0.3, runs=CAREFUL)
 def last_resort(probe: Probe) -> Iterator[Figure]:
     """With impulses and halving off, vertices are held back at once; the promise holds, and it is said."""
     with mock.patch.multiple(pipeline, MOST_ROUNDS=0, MOST_HALVINGS=0):
@@ -751,7 +751,7 @@ def last_resort(probe: Probe) -> Iterator[Figure]:
     yield at_least("vertices that reports say were held back", held_back(trial), 50.0)
 
 
-@case("C12-blind", "without continuous detection the judge must see a tangle", seconds=2.0)
+@case("C12-blind", "without continuous detection the judge must see a tangle", seconds=0.5)
 def no_detection(probe: Probe) -> Iterator[Figure]:
     """What the judge is worth: two sheets at 30 m/s, and nobody looks along their way."""
     trial = probe.watch(two_sheets(30.0, seed=probe.seed), judged=True)
@@ -759,7 +759,7 @@ def no_detection(probe: Probe) -> Iterator[Figure]:
         yield at_least("steps with an intersection", tangles(trial, 10), 1.0)
 
 
-@case("bits", "the same bits again, on one thread and on two", seconds=5.0)
+@case("bits", "the same bits again, on one thread and on two", seconds=4.0)
 def bits(probe: Probe) -> Iterator[Figure]:
     """A sheet that crumples and three on a ball: positions and velocities after 45 steps, bit by bit."""
     for name in ("crumple", "stack on a ball"):
@@ -773,7 +773,7 @@ def bits(probe: Probe) -> Iterator[Figure]:
         yield at_most(f"numbers that differ on two threads, {name}", threaded, 0.0)
 
 
-@case("C8-at-rest", "a sheet laid on a plane and one on a ball do not jitter", seconds=15.0)
+@case("C8-at-rest", "a sheet laid on a plane and one on a ball do not jitter", seconds=2.5)
 def at_rest(probe: Probe) -> Iterator[Figure]:
     """What has come to rest stays there: no vertex moves from a second to the next."""
     flat = grid((0.5, 0.5), (10, 10), position=[0, 0, 0.02])

@@ -65,15 +65,15 @@ def _locally(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
 def _pooled(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
     """Outcomes from a pool of `jobs` processes, until all are there or one of the processes dies."""
     fresh = multiprocessing.get_context("spawn")  # a fork would inherit threads, and thereby their locks
-    with concurrent.futures.ProcessPoolExecutor(jobs, mp_context=fresh) as pool:
-        futures = [pool.submit(run_here, task) for task in tasks]
-        try:
-            for future in concurrent.futures.as_completed(futures):
-                yield future.result()
-        except BrokenProcessPool:
-            return
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    pool = concurrent.futures.ProcessPoolExecutor(jobs, mp_context=fresh)
+    futures = [pool.submit(run_here, task) for task in tasks]
+    try:
+        for future in concurrent.futures.as_completed(futures):
+            yield future.result()
+    except BrokenProcessPool:
+        return
+    finally:  # whoever stops asking, with Ctrl-C say, does not wait for what nobody began
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _died(task: Task) -> Outcome:

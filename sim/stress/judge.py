@@ -73,26 +73,28 @@ class Judge:
         return not self.crossings(x)
 
     def meetings(self, x: np.ndarray, y: np.ndarray) -> list[tuple[str, list[int]]]:
-        """Pairs that touch on the way from x to y, (n, 3) both: what they are, and their vertices.
+        """Pairs that touch on the way from x to y, (n, 3) both: what they are, and their vertices."""
+        return list(self.each_meeting(x, y))
+
+    def each_meeting(self, x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, list[int]]]:
+        """The same one by one, for those who ask whether there is any.
 
         `is_step_collision_free` flags what comes near, too, and tight inclusion what it did not finish; what
         both flag is told apart by separating planes, if there are any.
         """
         x, y = np.asfortranarray(x), np.asfortranarray(y)
         if self._mesh is None or ipctk.is_step_collision_free(self._mesh, x, y):
-            return []
+            return
         near = ipctk.Candidates()
         near.build(self._mesh, x, y, 0.0)
-        found: list[tuple[str, list[int]]] = []
         for pair in near.fv_candidates:
             i = [pair.vertex_id, *self.triangles[pair.face_id]]
             if point_meets_triangle(x[i], y[i]):
-                found.append((VERTEX_TRIANGLE, i))
+                yield VERTEX_TRIANGLE, i
         for pair in near.ee_candidates:
             i = [*self.edges[pair.edge0_id], *self.edges[pair.edge1_id]]
             if edges_meet(x[i], y[i]):
-                found.append((EDGE_EDGE, i))
-        return found
+                yield EDGE_EDGE, i
 
 
 MOST = {"min_distance": 0.0, "max_iterations": 20_000}

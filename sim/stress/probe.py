@@ -77,9 +77,9 @@ class Trial:
         if crossings := self.judge.crossings(world.positions):
             raise Fault(at_most(f"crossings after step {k}", crossings, 0.0))
         if self.reports[-1].substeps == 1:  # else the way had corners
-            met = self.judge.meetings(self.before.positions, world.positions)
-            if met:
-                raise Fault(at_most(f"pairs that went through each other in step {k}", len(met), 0.0))
+            way = self.before.positions, world.positions
+            for what, _ in self.judge.each_meeting(*way):
+                raise Fault(at_most(f"pairs that went through each other in step {k}, {what}", 1, 0.0))
 
 
 class Probe:

@@ -92,12 +92,11 @@ class Verdict:
     @property
     def command(self) -> str:
         """What to type for the same again: of a failure, for the first run that failed."""
-        seed, runs = (
-            (self.failures[0].task.seed, 1) if self.failures else (self.outcomes[0].task.seed, self.runs)
-        )
-        return shlex.join(
-            ["muslin", "stress", "--case", self.case.name, "--seed", str(seed), "--runs", str(runs)]
-        )
+        words = ["muslin", "stress", "--case", self.case.name]
+        if self.outcomes:
+            first = self.failures[0] if self.failures else self.outcomes[0]
+            words += ["--seed", str(first.task.seed), "--runs", str(1 if self.failures else self.runs)]
+        return shlex.join(words)
 
     def builtins(self) -> dict[str, Any]:
         """The same as plain data; what is no number is None."""
