@@ -23,6 +23,9 @@ LIGHT = np.array([0.3, -0.5, 0.8])
 MARGIN = 0.12
 """Part of a picture that is left about the cloth."""
 
+PARTS = 12
+"""Of an edge without triangles."""
+
 ROUND = 9
 """Rings of a sphere."""
 
@@ -43,8 +46,16 @@ def drawing(picture: Picture, title: str) -> str:
     shown = (picture.positions - center) @ view.T
     scale, middle = _fitted(shown[:, :2])
     points = np.round((flat[:, :, :2] - middle) * [scale, -scale] + [WIDTH / 2, HEIGHT / 2], 1)
-    shapes = [_shape(points[k], colors[k]) for k in np.argsort(flat[:, :, 2].mean(axis=1), kind="stable")]
-    shapes += _threads(picture, (shown[:, :2] - middle) * [scale, -scale] + [WIDTH / 2, HEIGHT / 2])
+    shapes = [_shape(*about) for about in zip(points, colors, strict=True)]
+    depths = flat[:, :, 2].mean(axis=1).tolist()
+    for thread in _threads(picture):
+        ends = shown[thread]
+        a, b = (ends[:, :2] - middle) * [scale, -scale] + [WIDTH / 2, HEIGHT / 2]
+        for k in range(PARTS):  # in parts, of which some may be hidden
+            near, far = k / PARTS, (k + 1) / PARTS
+            depths.append(float(ends[0, 2] + 0.5 * (near + far) * (ends[1, 2] - ends[0, 2])))
+            shapes.append(_line(a + near * (b - a), a + far * (b - a)))
+    shapes = [shapes[k] for k in np.argsort(depths, kind="stable")]
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" stroke-linejoin="round" stroke-width=".5">'
         f"<title>{escape(title)}</title>{''.join(shapes)}</svg>"
@@ -70,7 +81,10 @@ def _cloth(picture: Picture) -> tuple[np.ndarray, list[str]]:
     corners = picture.positions[picture.triangles]
     facing = _normals(corners) @ EYE > 0.0
     tones = _shaded(corners, both=True)
-    sides = [VARIANTS[0] if front else VARIANTS[1] for front in facing]
+    held = picture.held[picture.triangles].all(axis=1)
+    sides = [
+        STONE if fixed else VARIANTS[0 if front else 1] for front, fixed in zip(facing, held, strict=True)
+    ]
     return corners, [_tone(side, tone) for side, tone in zip(sides, tones, strict=True)]
 
 
@@ -117,16 +131,16 @@ def _shape(points: np.ndarray, color: str) -> str:
     return f'<polygon points="{corners}" fill="{color}" stroke="{color}"/>'
 
 
-def _threads(picture: Picture, points: np.ndarray) -> list[str]:
+def _line(a: np.ndarray, b: np.ndarray) -> str:
+    (x, y), (u, v) = np.round([a, b], 1).tolist()
+    return f'<line x1="{x:g}" y1="{y:g}" x2="{u:g}" y2="{v:g}" stroke="{INK.css}" stroke-width="1.5"/>'
+
+
+def _threads(picture: Picture) -> list[list[int]]:
     """Edges that belong to no triangle."""
     sides = np.sort(picture.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     known = {tuple(side) for side in sides.tolist()}
-    loose = [edge for edge in np.sort(picture.edges, axis=1).tolist() if tuple(edge) not in known]
-    lines = (np.round(points[edge], 1).ravel().tolist() for edge in loose)
-    return [
-        f'<line x1="{a:g}" y1="{b:g}" x2="{c:g}" y2="{d:g}" stroke="{INK.css}" stroke-width="1.5"/>'
-        for a, b, c, d in lines
-    ]
+    return [edge for edge in np.sort(picture.edges, axis=1).tolist() if tuple(edge) not in known]
 
 
 BACKGROUND = GROUND.toward(WHITE, 0.65).css

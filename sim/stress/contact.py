@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -114,18 +115,18 @@ HEAVY = {"gravity": DOWN, "density": 1.0, "friction": 0.5, "thickness": 4e-3, "s
 """Cloth that falls on something thin."""
 
 
-def held(vertices: list[list[float]], **more: object) -> dict[str, object]:
+def held(vertices: list[list[float]], **more: Any) -> dict[str, Any]:
     """A piece all of whose vertices are pinned: an obstacle that is felt by its edges and triangles."""
     return {"vertices": vertices, "pins": list(range(len(vertices))), **more}
 
 
-def on_a_wire() -> dict[str, object]:
+def on_a_wire() -> dict[str, Any]:
     """A sheet that falls across a wire, which has edges and nothing else."""
     wire = held([[-0.5, 0.013, 0.0], [0.0, 0.021, 0.01], [0.5, 0.034, 0.0]], edges=[[0, 1], [1, 2]])
     return felt([grid((0.4, 0.4), (9, 9), position=[0, 0, 0.05]), wire], **HEAVY, jitter=JITTER)
 
 
-def on_a_needle() -> dict[str, object]:
+def on_a_needle() -> dict[str, Any]:
     """A sheet that falls on the tip of a tetrahedron, with corners that hang beside it."""
     tip = [[0.007, 0.011, 0.0], [0.04, 0.0, -0.4], [-0.02, 0.035, -0.4], [-0.02, -0.035, -0.4]]
     needle = held(tip, triangles=[[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
@@ -211,7 +212,7 @@ CALM = 20.0
 """Nothing that closes at 0.5 m/s and springs back should ever be faster [m/s]."""
 
 
-def pinch(probe: Probe, jaws: list[dict[str, object]]) -> Iterator[Figure]:
+def pinch(probe: Probe, jaws: list[dict[str, Any]]) -> Iterator[Figure]:
     """Two jaws close on hanging cloth until there is a fifth of its thickness, stay, and open again."""
     cloth = grid((0.4, 0.4), (11, 11), rotation=[0, math.pi / 2, 0], pins=["left"])
     more = {"gravity": DOWN, "thickness": THICKNESS, "jitter": JITTER, "friction": 0.3}
@@ -243,7 +244,7 @@ CLOSED, RELEASED, OPENED = 0.4, 0.6, 1.0
 """Times at which the jaws of a pinch are closed, begin to open, and are open [s]."""
 
 
-def jaw_path(side: float, near: float, far: float, height: float) -> list[dict[str, object]]:
+def jaw_path(side: float, near: float, far: float, height: float) -> list[dict[str, Any]]:
     """From far to near, a while there, and back, along x."""
     keys = zip((0.0, CLOSED, RELEASED, OPENED), (far, near, near, far), strict=True)
     return [{"time": time, "position": [side * x, 0, height]} for time, x in keys]
@@ -292,7 +293,7 @@ FUNNEL_TIME = 4.0
 """By then all must have come out [s]."""
 
 
-def funnel_piece(top: float, neck: float, depth: float, around: int = 20) -> dict[str, object]:
+def funnel_piece(top: float, neck: float, depth: float, around: int = 20) -> dict[str, Any]:
     """A pinned cone from the radius `top` at height 0 to `neck` at −depth, and a straight neck below [m]."""
     turn = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
     rings = [(top, 0.0), (0.5 * (top + neck), -0.5 * depth), (neck, -depth), (neck, -1.4 * depth)]
@@ -331,7 +332,7 @@ def funnel(probe: Probe) -> Iterator[Figure]:
     yield reported("vertices held back", held_back(trial))
 
 
-def ribbon(points: np.ndarray, width: float, spacing: float, **more: object) -> dict[str, object]:
+def ribbon(points: np.ndarray, width: float, spacing: float, **more: Any) -> dict[str, Any]:
     """A ribbon, three vertices wide, along a smooth curve through `points` (k, 3); flat side up, at rest."""
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     curve = CubicSpline(at, points)
@@ -443,9 +444,7 @@ def turn_rate(world: Simulation) -> float:
 MU = 0.3
 
 
-def incline(
-    ratio: float, contact: str, thickness: float = 5e-3
-) -> tuple[dict[str, object], np.ndarray, float]:
+def incline(ratio: float, contact: str, thickness: float = 5e-3) -> tuple[dict[str, Any], np.ndarray, float]:
     """Cloth on a plane whose slope is `ratio` times what friction holds; the way down (3,), and the angle."""
     angle = math.atan(ratio * MU)
     normal = [math.sin(angle), 0.0, math.cos(angle)]

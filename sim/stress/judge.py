@@ -65,7 +65,11 @@ class Judge:
     def crossings(self, x: np.ndarray) -> int:
         """Crossings of edges and triangles at x (n, 3); at least 1 where ipctk alone sees one."""
         found = len(intersections(x, self.triangles))
-        seen = self._mesh is not None and ipctk.has_intersections(self._mesh, np.asfortranarray(x))
+        seen = (
+            self._mesh is not None
+            and ipctk is not None
+            and ipctk.has_intersections(self._mesh, np.asfortranarray(x))
+        )
         return max(found, int(seen))
 
     def clean(self, x: np.ndarray) -> bool:
@@ -83,7 +87,7 @@ class Judge:
         both flag is told apart by separating planes, if there are any.
         """
         x, y = np.asfortranarray(x), np.asfortranarray(y)
-        if self._mesh is None or ipctk.is_step_collision_free(self._mesh, x, y):
+        if self._mesh is None or ipctk is None or ipctk.is_step_collision_free(self._mesh, x, y):
             return
         near = ipctk.Candidates()
         near.build(self._mesh, x, y, 0.0)

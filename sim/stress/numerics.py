@@ -237,7 +237,7 @@ def momentum(probe: Probe) -> Iterator[Figure]:
         push, turn = max(push, found[0]), max(turn, found[1])
         rigid = max(rigid, resisted(world))
         world.place(world.positions, probe.random.standard_normal(world.positions.shape))
-        first = world.momentum()[1]
+        first, scale = world.momentum()[1], 0.0
         for _ in range(10):
             before = world.momentum()[0]
             trial.step()

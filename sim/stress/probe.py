@@ -20,7 +20,7 @@ from sim.stress import Figure, Task, at_most, cases
 from sim.stress.judge import Judge
 from sim.stress.keep import pack
 
-LONGEST, PATIENCE = 60.0, 30.0
+LONGEST, PATIENCE = 120.0, 60.0
 """A run is ended after the first [s] and so many times what it should take."""
 
 
@@ -117,12 +117,14 @@ class Picture:
         positions: (n, 3) [m].
         triangles: (m, 3).
         edges: (e, 2), of which some belong to no triangle.
+        held: (n,) bool, vertices of pieces that are pinned as a whole, and stand for obstacles.
         obstacles: Of the scene, with position (3,) and rotation (3, 3) of each.
     """
 
     positions: np.ndarray
     triangles: np.ndarray
     edges: np.ndarray
+    held: np.ndarray
     obstacles: list[tuple[Obstacle, np.ndarray, np.ndarray]]
 
 
@@ -174,16 +176,19 @@ def run_task(task: Task) -> Outcome:
     outcome.steps = sum(len(trial.reports) for trial in probe.trials)
     outcome.auditor = next((trial.judge.name for trial in probe.trials if trial.judge), "")
     if probe.trials:
-        outcome.picture = _picture(probe.trials[-1].world)
+        outcome.picture = take_picture(probe.trials[-1].world)
         if not outcome.passed:
             outcome.kept = pack(probe.trials[-1].world, probe.trials[-1].before)
     return outcome
 
 
-def _picture(world: Simulation) -> Picture:
+def take_picture(world: Simulation) -> Picture:
+    """Of a simulation as it is now."""
     poses = zip(world.scene.obstacle, world.obstacle_poses(), strict=True)
     placed = [(obstacle, position, rotation) for obstacle, (position, rotation) in poses]
-    return Picture(world.positions.copy(), world.triangles.copy(), world.edges.copy(), placed)
+    free = np.bincount(world.pieces, weights=world.model.free) > 0.0
+    held = ~free[world.pieces]
+    return Picture(world.positions.copy(), world.triangles.copy(), world.edges.copy(), held, placed)
 
 
 @contextlib.contextmanager
