@@ -202,9 +202,8 @@ class Stress:
 
         if self.short and self.full:
             raise ValueError("--short: expected only one of --short and --full, got both")
-        how = {"full": self.full, "seed": self.seed, "runs": self.runs, "jobs": self.jobs}
-        files = {"json": self.json, "html": self.html, "keep": self.keep}
-        return run_stress(self.case, cluster=self.cluster, **how, **files)
+        how = self.full, self.seed, self.runs, self.jobs
+        return run_stress(self.case, *how, self.json, self.html, self.keep, self.cluster)
 
 
 COMMANDS = {

@@ -81,7 +81,7 @@ def _cloth(picture: Picture) -> tuple[np.ndarray, list[str]]:
     corners = picture.positions[picture.triangles]
     facing = _normals(corners) @ EYE > 0.0
     tones = _shaded(corners, both=True)
-    held = picture.held[picture.triangles].all(axis=1)
+    held = np.all(picture.held[picture.triangles], axis=1).tolist()
     sides = [
         STONE if fixed else VARIANTS[0 if front else 1] for front, fixed in zip(facing, held, strict=True)
     ]
@@ -104,7 +104,7 @@ def _obstacle(
     else:
         vertices, triangles = obstacle_mesh(obstacle)
     longest = max(size, 0.1 * float(np.ptp(vertices, axis=0).max())) / PIECES
-    vertices, triangles = subdivide_to_size(vertices.astype(float), triangles, longest, max_iter=12)
+    vertices, triangles = subdivide_to_size(vertices.astype(float), triangles, longest, max_iter=12)[:2]
     corners = (vertices @ rotation.T + position)[triangles]
     near = np.abs(corners.mean(axis=1) - center).max(axis=1) < 1.5 * size
     corners = corners[near & (_normals(corners) @ EYE > 0.0)]

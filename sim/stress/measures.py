@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,11 @@ def relative_rise(before: np.ndarray, after: np.ndarray) -> float:
     return float((after.sum() - before.sum()) / max(np.abs([before, after]).sum(), 1e-300))
 
 
+def root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where `function` is zero between `low` and `high`, at which its signs differ."""
+    return float(brentq(function, low, high, xtol=1e-14))  # pyright: ignore[reportArgumentType]
+
+
 # Hanging chains and pendulums
 
 SPAN = 0.5
@@ -79,7 +85,7 @@ def slack_chain(links: int, stretch: float = HARD, **settings: Any) -> dict[str,
         x, z = SPAN * s, -4.0 * depth * s * (1.0 - s)
         return x, z, np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(z))))
 
-    x, z, along = parabola(brentq(lambda depth: parabola(depth)[2][-1] - 1.0, 0.0, 1.0))
+    x, z, along = parabola(root(lambda depth: parabola(depth)[2][-1] - 1.0, 0.0, 1.0))
     places = np.linspace(0.0, along[-1], links + 1)
     points = np.stack([np.interp(places, along, x), 0.0 * places, np.interp(places, along, z)], axis=1)
     cloth = chain(points, [1.0 / (G * links)] * (links + 1), pins=[0, links])

@@ -11,7 +11,6 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.spatial import Delaunay
 from scipy.special import ellipe, ellipk
 
@@ -24,7 +23,7 @@ from sim.simulation import Simulation
 from sim.springs import BENDING, STRETCH, SpringKind
 from sim.statics import equilibrium
 from sim.stress import Figure, at_least, at_most, case, reported
-from sim.stress.measures import EARTH, G, dense, elements_at, period_ratio, rise, sag, swept
+from sim.stress.measures import EARTH, G, dense, elements_at, period_ratio, rise, root, sag, swept
 from sim.stress.probe import Probe, Trial
 from sim.stress.worlds import chain, grid, irregular, scene
 from sim.studies import cantilever, oscillator
@@ -93,7 +92,7 @@ def buckling(probe: Probe) -> Iterator[Figure]:
     start, fastest = sum(world.energy().values()), 0.0
     for _ in trial.until(4.0):
         fastest = max(fastest, float(np.linalg.norm(world.velocities, axis=1).max()))
-    modulus = brentq(lambda m: 2.0 * ellipe(m) / ellipk(m) - 1.0 - shortened, 1e-9, 1.0 - 1e-9)
+    modulus = root(lambda m: 2.0 * ellipe(m) / ellipk(m) - 1.0 - shortened, 1e-9, 1.0 - 1e-9)
     height = length * math.sqrt(modulus) / ellipk(modulus)
     yield at_most("kinetic energy at the end over that of the start", world.energy()["kinetic"] / start, 1e-6)
     yield at_most("fastest vertex", fastest, math.sqrt(2.0 * start / world.masses.min()), "m/s")
@@ -498,7 +497,7 @@ def tangled(probe: Probe) -> Iterator[Figure]:
 @case("N14", "a hanging chain", seconds=0.9)
 def catenary(probe: Probe) -> Iterator[Figure]:
     """A chain of unit length over half of it sags by that of a chain of links, and these by a catenary's."""
-    half = brentq(lambda a: 2.0 * a * math.sinh(0.25 / a) - 1.0, 0.05, 1.0)
+    half = root(lambda a: 2.0 * a * math.sinh(0.25 / a) - 1.0, 0.05, 1.0)
     exact = half * (math.cosh(0.25 / half) - 1.0)
     errors = [sag(links) - exact for links in (8, 16, 32)]
     off = max(abs(math.log2(a / b) - 2.0) for a, b in pairwise(errors))
