@@ -180,7 +180,7 @@ class Stress:
     full: bool = False
     """All cases with all their seeds, within an hour."""
     case: Annotated[Texts, arg(metavar="NAME ...")] = ()
-    """Only these cases; C2 means all whose names begin with C2-."""
+    """Only these cases, or themes: numerics, contact, sweep; C2 means all whose names begin with C2-."""
     seed: int = 0
     """Of the first run of each case; those of the others follow."""
     runs: int | None = None

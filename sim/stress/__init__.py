@@ -152,7 +152,8 @@ def cases() -> dict[str, Case]:
 def choose(names: Sequence[str] = (), full: bool = False) -> list[Case]:
     """The cases that `names` mean, or without names those of the short or of the full battery.
 
-    A name means the case of this name and those that it begins with a hyphen after: C2 means C2-edge, too.
+    A name means the case of this name, those that begin with it and a hyphen (C2 means C2-wire, too), or those
+    of a theme.
 
     Raises:
         ValueError: for a name that means none.
@@ -162,9 +163,9 @@ def choose(names: Sequence[str] = (), full: bool = False) -> list[Case]:
         return [case for case in known.values() if full or case.seconds <= SHORT_SECONDS]
     chosen: dict[str, Case] = {}
     for name in names:
-        found = [case for case in known.values() if f"{case.name}-".startswith(f"{name}-")]
+        found = [c for c in known.values() if f"{c.name}-".startswith(f"{name}-") or c.theme == name]
         if not found:
-            raise ValueError(f"--case: expected one of {', '.join(known)}, got {name!r}")
+            raise ValueError(f"--case: expected one of {', '.join((*THEMES, *known))}, got {name!r}")
         chosen.update((case.name, case) for case in found)
     return list(chosen.values())
 

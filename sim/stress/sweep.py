@@ -144,7 +144,7 @@ class Watch:
         inside: Vertices inside obstacles after such steps that started with none.
         descent: The largest rise of the incremental potential in a step that must not raise it, relative.
         bounded: How many steps were of that sort.
-        drift: The largest part of Σ m|v| + h Σ|f| that a step of free cloth lost of its momentum.
+        drift: The most that a step of free cloth lost of its momentum, over what rounding may take.
     """
 
     def __init__(self, trial: Trial) -> None:
@@ -167,9 +167,8 @@ class Watch:
         report = self.trial.step()
         if self._free() and not report.held_back:
             scale = float(world.masses @ np.linalg.norm(world.velocities, axis=1)) + world.settings.dt * pull
-            self.drift = max(
-                self.drift, float(np.abs(world.momentum()[0] - momentum).max()) / max(scale, 1e-300)
-            )
+            lost = float(np.abs(world.momentum()[0] - momentum).max())
+            self.drift = max(self.drift, lost / max(scale * self._rounding(), 1e-300))
         if self._descends(report):
             self.bounded += 1
             self.descent = max(self.descent, relative_rise(parts, potential_parts(world, v)))
@@ -180,6 +179,16 @@ class Watch:
         world = self.trial.world
         held = any(world.settings.gravity) or world.scene.obstacle or len(world.pinned)
         return not held and world.model.conservative
+
+    def _rounding(self) -> float:
+        """Part of Σ m|v| + h Σ|f| that rounding may take in a step.
+
+        Springs of constant K move a translation of the mass m by their own rounding, K h²/m times that of it.
+        """
+        world = self.trial.world
+        stiffest = max(float(springs.elements.stiffness.max(initial=0.0)) for springs in world.model.springs)
+        ratio = stiffest * world.settings.dt**2 / float(world.masses.min())
+        return max(FREE, 4.0 * float(np.finfo(float).eps) * ratio)
 
     def _descends(self, report: StepReport) -> bool:
         """Whether the last step was searched along, with nothing in it that has no potential."""
@@ -249,14 +258,14 @@ def sweep(probe: Probe, made: Callable[[bool], dict[str, Any]]) -> Iterator[Figu
     yield at_most("steps with impulses that tangled cloth", watch.tangled, 0.0)
     yield at_most("vertices that got inside obstacles with impulses, summed over steps", watch.inside, 0.0)
     yield at_most("rise of the potential in steps that descend, relative", max(watch.descent, -1.0), DESCENT)
-    yield at_most("momentum lost in a step of free cloth, over Σ m|v| + h Σ|f|", watch.drift, FREE)
+    yield at_most("momentum lost in a step of free cloth, over what rounding may take", watch.drift, 1.0)
     yield at_most("first steps that differ in some bit when taken again", differs, 0.0)
     yield reported("steps judged for tangles", watch.judged)
     yield reported("steps judged for descent", watch.bounded)
 
 
 FREE = 1e-10
-"""Part of Σ m|v| + h Σ|f| that rounding may take from free cloth in a step."""
+"""Part of Σ m|v| + h Σ|f| that free cloth may lose of its momentum in a step, if it is of a common sort."""
 
 
 def started(probe: Probe, scene: dict[str, Any]) -> Trial:

@@ -129,6 +129,7 @@ def test_names_mean_a_case_or_all_that_begin_with_them():
     assert [case.name for case in stress.choose(["N8"])] == ["N8"]
     assert {case.name for case in stress.choose(["C2"])} == {"C2-wire", "C2-needle", "C2-box", "C2-blind"}
     assert [case.name for case in stress.choose(["C1"])] == ["C1-queries", "C1-sphere"]
+    assert {case.theme for case in stress.choose(["numerics"])} == {"numerics"}
     with pytest.raises(ValueError, match=r"--case: expected one of .*N8.*got 'N99'"):
         stress.choose(["N99"])
 

@@ -13,6 +13,10 @@ KNOWN = {
     "C2-box": "boxes are felt by vertices alone: edges and triangles of cloth pass through their edges",
     "C3-spheres": "a report does not say that there is a pinch",
     "C3-boxes": "a report does not say that there is a pinch, and energy grows in it",
+    "C4-reef-knot": "contacts felt by a linearised step pump up energy in a tight knot",
+    "C8-at-rest": "a linearised step is too soft across folds: a hem vertex trembles for ever",
+    "C9-corner": "impulses after the solve stretch cloth, and so put energy in",
+    "C9-flag": "impulses after the solve stretch cloth, and so put energy in",
     "N13": "nobody warns of cloth that crosses itself at the start",
 }
 """What fails, and why; each is expected to, so that who mends it finds out."""
@@ -20,7 +24,7 @@ KNOWN = {
 
 def fast():
     for name, case in cases().items():
-        if case.seconds <= FAST and case.theme != "sweep":
+        if (case.seconds <= FAST or name in KNOWN) and case.theme != "sweep":
             reason = KNOWN.get(name)
             marks = [pytest.mark.xfail(strict=True, reason=reason)] if reason else []
             yield pytest.param(name, marks=marks)
@@ -43,6 +47,11 @@ def test_a_row_of_all_settings_is_within_its_marks(mesh):
 
 SWEPT = 5
 """A row of the array that is quick."""
+
+
+@pytest.mark.xfail(strict=True, reason="the trapezoid stage starts from damping forces that no step resolves")
+def test_tr_bdf2_holds_stiff_and_damped_cloth():
+    assert run_task(Task("sweep-grid", 31)).passed
 
 
 def test_the_wire_goes_through_where_pairs_of_edges_are_not_looked_at():
