@@ -152,8 +152,8 @@ def cases() -> dict[str, Case]:
 def choose(names: Sequence[str] = (), full: bool = False) -> list[Case]:
     """The cases that `names` mean, or without names those of the short or of the full battery.
 
-    A name means the case of this name, those that begin with it and a hyphen (C2 means C2-wire, too), or those
-    of a theme.
+    A name means the case of this name, those that begin with it and a hyphen (C2 means C2-wire,
+    too), or those of a theme.
 
     Raises:
         ValueError: for a name that means none.

@@ -188,7 +188,7 @@ class Watch:
         world = self.trial.world
         stiffest = max(float(springs.elements.stiffness.max(initial=0.0)) for springs in world.model.springs)
         ratio = stiffest * world.settings.dt**2 / float(world.masses.min())
-        return max(FREE, 4.0 * float(np.finfo(float).eps) * ratio)
+        return max(FREE, SUMS * float(np.finfo(float).eps) * ratio)
 
     def _descends(self, report: StepReport) -> bool:
         """Whether the last step was searched along, with nothing in it that has no potential."""
@@ -263,6 +263,9 @@ def sweep(probe: Probe, made: Callable[[bool], dict[str, Any]]) -> Iterator[Figu
     yield reported("steps judged for tangles", watch.judged)
     yield reported("steps judged for descent", watch.bounded)
 
+
+SUMS = 100.0
+"""Roundings that add up in a solve: of as many iterations, or of the two stages and ten Newton iterations."""
 
 FREE = 1e-10
 """Part of Σ m|v| + h Σ|f| that free cloth may lose of its momentum in a step, if it is of a common sort."""
