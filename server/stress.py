@@ -83,7 +83,7 @@ def run_stress(
         interrupted = True
     found = list(verdicts.values())
     printer.summary(found)
-    about = conditions(full, seed)
+    about = conditions("chosen" if names else "full" if full else "short", seed)
     if json is not None:
         save_json(json, as_json(found, about))
     if html is not None:
@@ -223,12 +223,12 @@ def counts(verdicts: Sequence[Verdict]) -> str:
     return f"{len(verdicts)} cases, {runs:,} runs, {steps:,} steps: {outcome}.{judged}"
 
 
-def conditions(full: bool, seed: int) -> dict[str, object]:
+def conditions(battery: str, seed: int) -> dict[str, object]:
     """What a battery was run with and by."""
     from sim.bench.hardware import hardware, versions
 
     return {
-        "battery": "full" if full else "short",
+        "battery": battery,
         "seed": seed,
         "date": datetime.date.today().isoformat(),
         "version": sim.__version__,
@@ -287,7 +287,7 @@ def as_html(verdicts: Sequence[Verdict], about: dict[str, object]) -> str:
         '<meta name="viewport" content="width=device-width">'
         f"<title>Muslin: the battery</title><style>{STYLE}.card svg{{background:{BACKGROUND}}}</style></head>"
         "<body>"
-        f"<h1>Muslin: the {about['battery']} battery</h1><p>{escape(counts(verdicts))}</p>"
+        f"<h1>Muslin: the battery, {about['battery']} cases</h1><p>{escape(counts(verdicts))}</p>"
         f'<p class="dim">{about["date"]}, seed {about["seed"]}; {escape(packages)}</p>'
         f'<table><tr>{head}</tr>{"".join(lines)}</table><div class="cards">{cards}</div></body></html>\n'
     )
