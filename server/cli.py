@@ -272,6 +272,41 @@ class Compare:
         return run_study(measure, command, self.json, self.html, self.plots)
 
 
+@dataclass(kw_only=True)
+class Stress:
+    """Run the battery of hard cases: what each measured, held against its mark."""
+
+    short: bool = False
+    """The cases that take minutes, with a few seeds each; this is what happens anyway."""
+    full: bool = False
+    """All cases with all their seeds, within an hour."""
+    case: Annotated[Texts, arg(metavar="NAME ...")] = ()
+    """Only these cases, or themes: numerics, contact, sweep; C2 means all whose names begin with C2-."""
+    seed: int = 0
+    """Of the first run of each case; those of the others follow."""
+    runs: int | None = None
+    """Runs of each case; a case knows how many it needs if left out."""
+    jobs: int | None = None
+    """Processes, one thread each; as many as there are cores if left out."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write what was found as JSON."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write the same as a page, with a picture of how each case ended."""
+    keep: Annotated[str | None, arg(metavar="FOLDER")] = None
+    """Keep scene, settings and state of what fails."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Run on the workers of a Dask scheduler, such as tcp://10.0.0.1:8786 (the extra `cluster`)."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.stress import run_stress
+
+        if self.short and self.full:
+            raise ValueError("--short: expected only one of --short and --full, got both")
+        how = self.full, self.seed, self.runs, self.jobs
+        return run_stress(self.case, *how, self.json, self.html, self.keep, self.cluster)
+
+
 COMMANDS = {
     "lab": Lab,
     "run": Run,
@@ -279,6 +314,7 @@ COMMANDS = {
     "scenes": Scenes,
     "cost": Cost,
     "compare": Compare,
+    "stress": Stress,
     "study": Study,
     "bench": Bench,
 }
@@ -368,7 +404,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Check | Scenes | Cost | Compare | Study | Bench,
+                Lab | Run | Check | Scenes | Cost | Compare | Stress | Study | Bench,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,

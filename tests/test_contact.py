@@ -9,9 +9,10 @@ import sim
 from sim.compiled import Vec3
 from sim.contact.detect import detect
 from sim.contact.obstacles import Obstacles, shape_of, signed_distance
+from sim.stress.contact import drift_on_incline, sliding_error, stopping_error
+from sim.stress.probe import Probe
 from tests.worlds import ball, chain, grid, scene
 
-MU = 0.3
 G = 9.81
 SHAPES = {
     "sphere": ball((0, 0, 0), 0.3),
@@ -205,89 +206,20 @@ def test_a_fast_sphere_passes_no_vertex_of_a_pinned_cloth(speed):
         assert world.step().penetrations == 0
 
 
-def incline(ratio, contact):
-    """Cloth at rest on a plane whose slope is `ratio` times what friction holds."""
-    angle, thickness = float(np.arctan(ratio * MU)), 5e-3
-    normal = [float(np.sin(angle)), 0.0, float(np.cos(angle))]
-    cloth = grid(size=(0.5, 0.5), rotation=[0, angle, 0], position=[thickness * n for n in normal])
-    plane = {"kind": "plane", "normal": normal}
-    world = sim.Simulation(
-        scene(
-            cloth,
-            plane,
-            gravity=[0, 0, -G],
-            friction=MU,
-            thickness=thickness,
-            contact=contact,
-            tolerance=1e-7,
-        )
-    )
-    return world, np.array([np.cos(angle), 0.0, -np.sin(angle)]), angle
-
-
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
 def test_cloth_rests_inside_the_friction_cone(contact):
-    world, down, _ = incline(0.95, contact)
-    start = world.positions.copy()
-    for _ in range(60):
-        world.step()
-    assert np.abs((world.positions - start) @ down).max() < 1e-4  # of a metre in one second
+    assert drift_on_incline(Probe(0), contact) < 1e-4  # of a metre in one second
 
 
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
 @pytest.mark.parametrize("ratio", [1.05, 1.5, 3.0])
 def test_cloth_slides_outside_the_friction_cone_as_coulomb_says(contact, ratio):
-    world, down, angle = incline(ratio, contact)
-    times, speeds = [], []
-    for _ in range(40):
-        world.step()
-        times.append(world.time)
-        speeds.append(world.masses @ world.velocities @ down / world.masses.sum())
-    acceleration = np.polyfit(times[10:], speeds[10:], 1)[0]
-    assert acceleration == pytest.approx(G * (np.sin(angle) - MU * np.cos(angle)), rel=1e-3)
+    assert sliding_error(Probe(0), ratio, contact) < 1e-3
 
 
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
 def test_sliding_cloth_stops_after_the_distance_that_friction_allows(contact):
-    speed, h = 1.0, 1 / 240
-    solver = {"dt": h, "tolerance": 1e-7}
-    cloth = grid(size=(0.5, 0.5), position=[0, 0, 5e-3])
-    world = sim.Simulation(
-        scene(cloth, {"kind": "plane"}, gravity=[0, 0, -G], friction=MU, contact=contact, **solver)
-    )
-    world._velocities[:] = [speed, 0, 0]
-    while world.time < 1.5 * speed / (MU * G):
-        world.step()
-    exact = speed**2 / (2 * MU * G)
-    assert world.positions[:, 0].mean() == pytest.approx(
-        exact - speed * h / 2, rel=5e-3
-    )  # backward Euler's own share
-    assert np.abs(world.velocities).max() < 1e-9
-
-
-def test_a_spinning_sphere_turns_the_cloth_by_friction_alone():
-    rate = 2.0  # slow enough for backward Euler, which itself slows a turn by ω² h per second
-    spin = [{"time": 0}, {"time": 10, "rotation": [0, 0, 10 * rate]}]
-    top = ball((0, 0, 0), 0.3, path=spin, motion="linear")
-    turned = {}
-    for friction in (0.0, 0.8):
-        world = sim.Simulation(
-            scene(
-                grid(resolution=(14, 14), position=[0, 0, 0.31]), top, gravity=[0, 0, -G], friction=friction
-            )
-        )
-        for _ in range(90):
-            world.step()
-        x, v, m = world.positions, world.velocities, world.masses
-        top_most = (
-            (world.contact.touched.of(np.arange(len(m)))[0] > 0) & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
-            if friction
-            else np.ones(len(m), bool)
-        )
-        spin_of = m[top_most] @ np.cross(x, v)[top_most, 2]
-        turned[friction] = spin_of / (m[top_most] @ (x[top_most, :2] ** 2).sum(axis=1))
-    assert abs(turned[0.0]) < 0.01 * rate  # the normals pass through the axis; the solver's tolerance is left
-    assert turned[0.8] == pytest.approx(rate, rel=0.1)
+    assert stopping_error(Probe(0), contact) < 5e-3
 
 
 def test_a_vertex_that_lands_loses_its_normal_speed_and_no_more():

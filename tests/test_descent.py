@@ -20,6 +20,7 @@ import pytest
 
 import sim
 from sim.solve import implicit
+from sim.stress.measures import potential_parts, rise
 from tests.worlds import ball, grid, irregular, scene
 
 KINDS = ("none", "cross", "modified", "angle")
@@ -58,23 +59,6 @@ def crumpled(bend, dt, stiffness, held, size=1.0, **settings):
     rng = np.random.default_rng(0)
     world.place(world.positions, rng.standard_normal(world.positions.shape))
     return world
-
-
-def parts(world, velocities):
-    """Φ's energies and its inertia, for a step that began with `velocities`; damping is left out."""
-    energies = world.energy()
-    del energies["kinetic"]
-    inertia = 0.5 * world.masses @ ((world.velocities - velocities) ** 2).sum(axis=1)
-    return np.array([*energies.values(), inertia])
-
-
-def rise(world):
-    """By how much a step raises Φ, over the sum of the sizes of Φ's parts; and the report of that step."""
-    velocities = world.velocities.copy()
-    before = parts(world, 0.0)
-    report = world.step()
-    after = parts(world, velocities)
-    return (after.sum() - before.sum()) / np.abs([before, after]).sum(), report
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.2])
@@ -126,7 +110,7 @@ def test_each_further_iteration_descends(bend):
         world = crumpled(bend, 0.1, 1e3, held=True, newton=newton)
         start = world.velocities.copy()
         world.step()
-        heights.append(parts(world, start))
+        heights.append(potential_parts(world, start))
     for higher, lower in pairwise(heights):
         assert lower.sum() - higher.sum() <= ROUNDING * np.abs([higher, lower]).sum()
     assert heights[-1].sum() < heights[0].sum()

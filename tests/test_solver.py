@@ -13,20 +13,10 @@ from sim.solve import direct, implicit
 from sim.solve.cg import CONVERGED, conjugate_gradients
 from sim.solve.lattice import interpolate
 from sim.solve.preconditioner import build_preconditioner, precondition, refresh
+from sim.stress.measures import dense
 from tests.worlds import chain, grid, irregular, scene
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "methods.json").read_text())
-
-
-def dense(matrix):
-    """The (3n, 3n) array that a block matrix stands for."""
-    n = len(matrix.diagonal)
-    full = np.zeros((n, 3, n, 3))
-    for i in range(n):
-        full[i, :, i] = matrix.diagonal[i]
-        for p in range(matrix.first[i], matrix.first[i + 1]):
-            full[i, :, matrix.column[p]] = matrix.block[p]
-    return full.reshape(3 * n, 3 * n)
 
 
 def linearised(world, h, exact=False):

@@ -13,20 +13,12 @@ import sim
 from sim.elements import LENGTH, elastic_energy, make_elements, set_damping, set_matrix_factors, set_tension
 from sim.springs import BENDING, STRETCH
 from sim.springs.build import fold, measure_each
+from sim.stress.measures import elements_at, swept
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "methods.json").read_text())
 KINDS = {**STRETCH, **BENDING}
 
 ROUNDING = 1e-12  # a dozen operations on numbers of size one, each good to 2e-16
-
-
-def elements_at(kind, positions, stiffness=1.0, rest=0.0, memory=0.0):
-    """Elements of one stencil at `positions` (stencil, 3), measured."""
-    chosen = np.ascontiguousarray(positions[list(kind.vertices)], dtype=float)
-    e = make_elements(np.arange(len(chosen))[None], kind.memory)
-    e.stiffness[:], e.rest[:], e.memory[:] = stiffness, rest, memory
-    kind.load().coordinate(chosen, e.nodes, e.memory, e.q, e.gradient, e.new_memory)
-    return e
 
 
 def ratio(gamma):
@@ -224,20 +216,6 @@ def test_a_cross_spring_has_no_linear_bending_stiffness_when_flat():
     up, down = (measure_each(BENDING["cross"], fold(hinge, theta)[0])[0][0] for theta in (0.4, -0.4))
     assert flat - small == pytest.approx(0.9 * 1e-6 / 4, rel=1e-3)  # second order in the fold: h θ²/4
     assert up == pytest.approx(down, rel=1e-14)  # and blind to its side
-
-
-def swept(name, tips, angles):
-    """Q, ∂q/∂θ and gradient of a hinge with tips of heights `tips`, folded to each angle in turn."""
-    kind = BENDING[name]
-    flat = np.array([[[0.0, 0, 0], [1, 0, 0], [0.3, tips[0], 0], [0.6, -tips[1], 0]]])
-    memory, found = np.zeros((1, kind.memory)), []
-    for theta in angles:
-        folded, motion = fold(flat, theta)
-        e = elements_at(kind, folded[0], memory=memory)
-        memory = e.new_memory.copy()
-        turn = np.sum(e.gradient[0] * motion[0][list(kind.vertices)])
-        found.append((e.q[0], turn, e.gradient[0].copy()))
-    return tuple(np.array(column) for column in zip(*found, strict=True))
 
 
 @pytest.mark.parametrize("tips", [(0.8, 0.7), (0.5, 0.5), (0.9, 0.2), (0.01, 1.0)])

@@ -1,16 +1,10 @@
-"""What judges contact from outside: distances the obvious way, and ipctk on every step."""
+"""What judges contact from outside: distances the obvious way, and the battery's judge on every step."""
 
-from itertools import product
-
-import ipctk
 import numpy as np
 
-import sim
+from sim.stress.judge import EDGE_EDGE, VERTEX_TRIANGLE, Judge
 
-VERTEX_TRIANGLE, EDGE_EDGE = "vertex-triangle", "edge-edge"
-
-HALVINGS = 60
-"""Parts of a way this small are told apart by nothing that float64 can tell."""
+__all__ = ["EDGE_EDGE", "VERTEX_TRIANGLE", "Judge", "distances", "run_cleanly"]
 
 
 def run_cleanly(world, steps):
@@ -27,88 +21,6 @@ def run_cleanly(world, steps):
             met = judge.meetings(before, x)
             assert not met, f"step {k} went through {met[0]}"
     return reports
-
-
-class Judge:
-    """Whether the cloth of a world crosses itself."""
-
-    def __init__(self, world):
-        self.edges, self.triangles = world.edges.copy(), world.triangles.copy()
-        self._mesh = ipctk.CollisionMesh(
-            np.asfortranarray(world.mesh.vertices),
-            np.asfortranarray(self.edges),
-            np.asfortranarray(self.triangles),
-        )
-
-    def clean(self, x):
-        """Whether nothing crosses at x (n, 3); ipctk and Muslin's exact test must both say so."""
-        free = not ipctk.has_intersections(self._mesh, np.asfortranarray(x))
-        return free and not len(sim.intersections(x, self.triangles))
-
-    def meetings(self, x, y):
-        """Pairs that touch on the way from x to y, (n, 3) both.
-
-        `is_step_collision_free` flags what comes near, too, and tight inclusion what it did not finish; what
-        both flag is told apart by separating planes, if there are any.
-        """
-        x, y = np.asfortranarray(x), np.asfortranarray(y)
-        if ipctk.is_step_collision_free(self._mesh, x, y):
-            return []
-        near = ipctk.Candidates()
-        near.build(self._mesh, x, y, 0.0)
-        ccd, most = ipctk.tight_inclusion, {"min_distance": 0.0, "max_iterations": 20_000}
-        found = []
-        for pair in near.fv_candidates:
-            i = [pair.vertex_id, *self.triangles[pair.face_id]]
-            if ccd.point_triangle_ccd(*x[i], *y[i], **most)[0] and not surely_apart(x[i], y[i], (0,)):
-                found.append((VERTEX_TRIANGLE, i))
-        for pair in near.ee_candidates:
-            i = [*self.edges[pair.edge0_id], *self.edges[pair.edge1_id]]
-            if ccd.edge_edge_ccd(*x[i], *y[i], **most)[0] and not surely_apart(x[i], y[i], (0, 1)):
-                found.append((EDGE_EDGE, i))
-        return found
-
-
-def surely_apart(x, y, one):
-    """Whether a plane parts the vertices `one` of a pair from the others all the way from x to y, (4, 3).
-
-    The plane may be another in each part of the way, but does not turn within it: so its ends tell all.
-    """
-    other = [k for k in range(4) if k not in one]
-    parts = [(0.0, 1.0, 0)]
-    while parts:
-        low, high, depth = parts.pop()
-        ends = x + low * (y - x), x + high * (y - x)
-        for n in _axes(0.5 * (ends[0] + ends[1]), one, other):
-            gaps = [np.subtract.outer((z - z[0])[list(one)] @ n, (z - z[0])[other] @ n).ravel() for z in ends]
-            if np.min(gaps) > 1e-15 or np.max(gaps) < -1e-15:
-                break
-        else:
-            if depth == HALVINGS:
-                return False
-            middle = 0.5 * (low + high)
-            parts += [(low, middle, depth + 1), (middle, high, depth + 1)]
-    return True
-
-
-def _axes(x, one, other):
-    """Unit vectors square to two edges, or to one and through a vertex, of the tetrahedron x."""
-    a, b = x[list(one)], x[other]
-    ways = [q - p for p, q in product(a, b)]
-    sides = [q - p for half in (a, b) for k, p in enumerate(half) for q in half[k + 1 :]]
-    if len(one) == 1:
-        yield from _unit(np.cross(b[1] - b[0], b[2] - b[0]))
-    else:
-        yield from _unit(np.cross(a[1] - a[0], b[1] - b[0]))
-    for side, way in product(sides, ways):
-        yield from _unit(way - (way @ side) / max(side @ side, 1e-300) * side)
-    for way in ways:
-        yield from _unit(way)
-
-
-def _unit(n):
-    size = np.linalg.norm(n)
-    return [n / size] if size > 0.0 else []
 
 
 def distances(kind, x):
