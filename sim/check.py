@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.clearance import clearance_warnings
+from sim.clearance import clearance_warnings, crossing_warnings
 from sim.mesh import Mesh, build_mesh
 from sim.scene import Scene
 
@@ -25,7 +25,7 @@ def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
     mesh = build_mesh(scene)
     prefix = f"{scene.name}: "
     warnings = [w.removeprefix(prefix) for w in mesh.warnings]
-    return mesh, warnings + _sliver_warnings(mesh) + clearance_warnings(mesh, scene)
+    return mesh, warnings + _sliver_warnings(mesh) + crossing_warnings(mesh) + clearance_warnings(mesh, scene)
 
 
 def _sliver_warnings(mesh: Mesh) -> list[str]:

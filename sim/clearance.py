@@ -4,8 +4,8 @@ The flexible collision library measures solid spheres, boxes and capsules agains
 nothing of our own contact code, which makes it a second opinion. It is used here, once per load, and nowhere
 in a step. A plane's distance is taken in closed form: fcl's distance query crashes the process when given a
 half-space, though its collision query handles one well. A mesh is a shell to fcl; whether a closed one goes
-round something that it does not meet is asked of the shell itself. Not measured: cloth against cloth, and
-cloth without triangles.
+round something that it does not meet is asked of the shell itself. Cloth and cloth are asked whether they
+cross, not how near they are; cloth without triangles is not looked at.
 """
 
 from __future__ import annotations
@@ -27,6 +27,36 @@ TOUCH = 1e-6
 
 MEETS = 1e-9
 """Distances below this [m] mean that the bodies meet: there fcl gives some number near or below zero."""
+
+
+MOST_TRIANGLES = 50_000
+"""Cloth of more is not asked whether it crosses itself: that takes a list of some fifteen pairs for each."""
+
+
+def crossing_warnings(mesh: Mesh) -> list[str]:
+    """A line where triangles of cloth that share no vertex cross each other at the start."""
+    corners = mesh.triangles
+    if len(corners) > MOST_TRIANGLES:
+        return [f"more than {MOST_TRIANGLES:,} triangles: not looked at whether cloth crosses itself"]
+    if not len(corners):
+        return []
+    shape, request = _triangles(mesh.vertices, corners), fcl.CollisionRequest(num_max_contacts=2**31 - 1)
+    one, other = (fcl.CollisionObject(shape, fcl.Transform()) for _ in range(2))
+    found = fcl.CollisionResult()
+    fcl.collide(one, other, request, found)
+    pairs = np.array([(c.b1, c.b2) for c in found.contacts if c.b1 < c.b2], dtype=np.int64).reshape(-1, 2)
+    joined = (corners[pairs[:, 0], :, None] == corners[pairs[:, 1], None]).any(axis=(1, 2))
+    pairs = np.unique(pairs[~joined], axis=0)
+    if not len(pairs):
+        return []
+    shown = ", ".join(f"{i} and {j}" for i, j in pairs[:LISTED])
+    more = ", …" if len(pairs) > LISTED else ""
+    words = "cloth crosses itself at the start, which no contact undoes"
+    return [f"{words}: {len(pairs):,} pairs of triangles: {shown}{more}"]
+
+
+LISTED = 5
+"""Pairs of triangles that a warning lists."""
 
 
 def clearance_warnings(mesh: Mesh, scene: Scene) -> list[str]:

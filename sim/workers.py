@@ -23,7 +23,7 @@ CONNECT = "10s"
 
 @contextlib.contextmanager
 def local_pool(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
-    """A pool of `jobs` processes; whoever leaves early, with Ctrl-C say, waits for nothing that nobody began."""
+    """A pool of `jobs` processes; who leaves early, with Ctrl-C say, waits for nothing that nobody began."""
     with _one_thread_each():
         fresh = multiprocessing.get_context("spawn")  # a fork would inherit threads, and thereby their locks
         pool = concurrent.futures.ProcessPoolExecutor(jobs, mp_context=fresh)

@@ -1,15 +1,19 @@
 """Clearance at load: fcl's answers against closed forms, and what `check` says of them."""
 
+import re
+
 import ipctk
 import numpy as np
 import pytest
 import trimesh
 
+import sim
 from sim.check import check_scene
 from sim.clearance import clearance_warnings
 from sim.mesh import build_mesh
 from sim.rotation import rotation_matrix
 from sim.scene import load_scene
+from tests.worlds import grid
 
 FCL = 2e-5  # GJK between a box or capsule and a triangle stops at about a hundredth of a millimetre
 SIZE, HEIGHT = 1.0, 0.8
@@ -229,3 +233,23 @@ def test_an_obstacle_inside_a_closed_mesh_overlaps_it():
     assert warnings(of_mesh("box", position=[9, 0, 0]), ball) == [
         'obstacle[0] (mesh "it") and obstacle[1] (sphere) overlap'
     ]
+
+
+# Cloth across itself
+
+
+def crossings(*cloth):
+    return [w for w in check_scene(sim.load_scene({"cloth": list(cloth)}))[1] if "crosses itself" in w]
+
+
+def test_cloth_that_starts_across_itself_is_told_with_its_triangles():
+    across = grid((0.4, 0.4), (9, 9), rotation=[0, 1.2, 0.3], position=[0.01, 0.02, 0.03])
+    (warning,) = crossings(grid((0.4, 0.4), (10, 10)), across)
+    mesh = build_mesh(sim.load_scene({"cloth": [grid((0.4, 0.4), (10, 10)), across]}))
+    i, j = map(int, re.search(r"triangles: (\d+) and (\d+)", warning).groups())
+    exact = sim.intersections(mesh.vertices, mesh.triangles[[i, j]])
+    assert len(exact)
+
+
+def test_layers_apart_cross_nothing():
+    assert not crossings(grid((0.4, 0.4), (10, 10)), grid((0.4, 0.4), (10, 10), position=[0, 0, 1e-3]))

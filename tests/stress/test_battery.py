@@ -303,7 +303,7 @@ def test_the_workers_of_a_cluster_find_the_same():
 
 def test_a_cluster_that_is_not_there_is_refused_in_one_line(monkeypatch, capsys):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-    monkeypatch.setattr("sim.stress.executor.CONNECT", "1s")
+    monkeypatch.setattr("sim.workers.CONNECT", "1s")
     assert main(["stress", "--case", QUICK, "--cluster", "tcp://127.0.0.1:9"]) == 1
     assert "--cluster: no scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
 

@@ -17,7 +17,6 @@ KNOWN = {
     "C8-at-rest": "a linearised step is too soft across folds: a hem vertex trembles for ever",
     "C9-corner": "impulses after the solve stretch cloth, and so put energy in",
     "C9-flag": "impulses after the solve stretch cloth, and so put energy in",
-    "N13": "nobody warns of cloth that crosses itself at the start",
 }
 """What fails, and why; each is expected to, so that who mends it finds out."""
 
