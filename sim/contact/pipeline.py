@@ -42,7 +42,7 @@ MOST_ROUNDS = 8
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
 
-GROWTH = 0.5
+GROWTH = 0.01
 """Part of the kinetic energy by which a step may raise the energy and still be a good one."""
 
 MOST_FAILSAFES = 4
