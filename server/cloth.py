@@ -28,23 +28,31 @@ def bare_vertices(mesh: Mesh) -> np.ndarray:
     return np.union1d(bare_edges(mesh), loose).astype(int)
 
 
-class Sheets:
-    """The triangles: each side in a tone of its own, and, if wanted, their edges as fine lines."""
+TINT, DARKEST = 0.22, 0.5
+"""How much darker each piece is than the one before it, and the last one at most: layers are told apart."""
 
-    def __init__(self, api: viser.SceneApi, root: str, mesh: Mesh, color: Rgb):
+
+class Sheets:
+    """The triangles of one piece: each side in its own tone, and, if wanted, their edges as fine lines."""
+
+    def __init__(self, api: viser.SceneApi, root: str, mesh: Mesh, color: Rgb, piece: int = 0):
+        own = np.flatnonzero(mesh.pieces == piece)
+        self._own = slice(own[0], own[-1] + 1)
+        number, vertices = piece or "", mesh.vertices[self._own]
+        faces = mesh.triangles[mesh.pieces[mesh.triangles[:, 0]] == piece] - own[0]
         # Two meshes, one per side, since viser's have one colour: the reverse is paler, as in printed cloth.
         # Neither receives shadows: cloth this thin only shows the map's resolution, as stripes.
-        side = {"receive_shadow": False, "faces": mesh.triangles, "vertices": mesh.vertices}
-        self._face = api.add_mesh_simple(f"{root}/cloth", color=color, side="front", **side)
+        side = {"receive_shadow": False, "faces": faces, "vertices": vertices}
+        self._face = api.add_mesh_simple(f"{root}/cloth{number}", color=color, side="front", **side)
         self._reverse = api.add_mesh_simple(
-            f"{root}/reverse",
+            f"{root}/reverse{number}",
             color=color.toward(WHITE, 0.5).toward(STONE, 0.2),
             side="back",
             cast_shadow=False,
             **side,
         )
         self._lines = api.add_mesh_simple(
-            f"{root}/lines",
+            f"{root}/lines{number}",
             color=color.toward(INK, 0.6),
             wireframe=True,
             opacity=0.35,
@@ -52,18 +60,17 @@ class Sheets:
             visible=False,
             **side,
         )
-        pins = mesh.vertices[np.intersect1d(mesh.pinned, mesh.triangles)].astype(np.float32)
+        pins = mesh.vertices[np.intersect1d(mesh.pinned, faces + own[0])].astype(np.float32)
         if len(pins):
             api.add_point_cloud(
-                f"{root}/pins", pins, INK, point_size=PIN, point_shape="circle", precision="float32"
+                f"{root}/pins{number}", pins, INK, point_size=PIN, point_shape="circle", precision="float32"
             )
 
     def move(self, positions: np.ndarray) -> None:
-        """Show vertices at positions (n, 3) [m]."""
-        self._face.vertices = positions
-        self._reverse.vertices = positions
+        """Show the cloth with all vertices of the scene at positions (n, 3) [m]."""
+        self._face.vertices = self._reverse.vertices = positions[self._own]
         if self._lines.visible:
-            self._lines.vertices = positions
+            self._lines.vertices = positions[self._own]
 
     def show_lines(self, visible: bool) -> None:
         """Draw the edges, or not."""
@@ -117,8 +124,10 @@ def draw_cloth(
         scale: By which thickness is measured [m].
     """
     parts: list[Sheets | Strands] = []
-    if len(mesh.triangles):
-        parts.append(Sheets(api, root, mesh, color))
+    sheets = np.unique(mesh.pieces[mesh.triangles[:, 0]])
+    for k, piece in enumerate(sheets):
+        tint = color.toward(INK, min(TINT, DARKEST / max(len(sheets) - 1, 1)) * k)
+        parts.append(Sheets(api, root, mesh, tint, int(piece)))
     if len(bare_vertices(mesh)):
         parts.append(Strands(api, root, mesh, color, scale))
     return parts

@@ -16,6 +16,9 @@ from sim.settings import FIELDS, Field, Settings, convert
 NOT_COMPARED = {"threads", "seed"}
 """Settings that change no cloth, or only by chance."""
 
+FAILS = "fails on purpose"
+"""Said of a variant that is there to show what goes wrong with its setting."""
+
 
 def comparable() -> list[Field]:
     """The settings that variants can differ in: numbers, and choices that leave one."""
@@ -39,11 +42,13 @@ class Comparison:
         shared: Settings of every variant, except `by`.
         by: Name of the setting that differs, or "" for a single cloth.
         values: Its value in each variant, from left to right; empty without `by`.
+        fails: Values that fail in this scene, and are there to show it.
     """
 
     shared: Settings
     by: str = ""
     values: tuple[Any, ...] = ()
+    fails: tuple[Any, ...] = ()
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Comparison:
@@ -51,7 +56,8 @@ class Comparison:
         by, values = scene.compare.by, tuple(scene.compare.values)
         if by not in {f.name for f in comparable()} or len(values) < 2:
             return cls(scene.settings)
-        return cls(scene.settings, by, tuple(convert(by, v) for v in values))
+        values, fails = (tuple(convert(by, v) for v in some) for some in (values, scene.compare.fails))
+        return cls(scene.settings, by, values, fails)
 
     @property
     def count(self) -> int:
@@ -82,6 +88,10 @@ class Comparison:
         value = value_text(field, self.values[index])
         return value if symbol.isascii() else f"{symbol} {value}"
 
+    def remark(self, index: int) -> str:
+        """That one variant shows a failure; empty for those that do not."""
+        return FAILS if self.by and self.values[index] in self.fails else ""
+
     def place(self, index: int) -> str:
         """Where one variant stands."""
         return ("left", "right")[index] if self.count == 2 else f"no. {index + 1}"
@@ -97,9 +107,9 @@ class Comparison:
     def compared_by(self, by: str) -> Comparison:
         """Another setting compared, two variants: its present value beside one that makes a difference."""
         if not by:
-            return replace(self, by="", values=())
+            return Comparison(self.shared)
         present = getattr(self.shared, by)
-        return replace(self, by=by, values=(present, next_value(FIELDS[by], [present])))
+        return Comparison(self.shared, by, (present, next_value(FIELDS[by], [present])))
 
     def with_count(self, count: int) -> Comparison:
         """The same with variants added or left out at the end."""

@@ -18,6 +18,9 @@ ON_PURPOSE = "wrong on purpose"
 UNSTABLE = "unstable"
 """How an effect begins that cannot work with the present time step."""
 
+TUNNELS = "may tunnel"
+"""What contact says of itself after a step that may have let something through."""
+
 
 def what_is_wrong(settings: Settings | None) -> str:
     """What is wrong, on purpose, with the spring kind of a variant; empty for the right ones."""
@@ -35,12 +38,19 @@ def is_unstable(effect: object) -> bool:
     return str(effect).startswith(UNSTABLE)
 
 
+def may_tunnel(effect: object) -> bool:
+    """Whether a step's word about one of its effects is that something may have gone through."""
+    return TUNNELS in str(effect)
+
+
 def effects(meter: Meter) -> dict[str, str]:
     """Each effect of the newest step and whether it ran, or why not; none before the first."""
     return getattr(meter.latest.report, "effects", None) or {}
 
 
-def label(name: str, meter: Meter, waiting: str = "", behind: float = 0.0) -> tuple[str, bool]:
+def label(
+    name: str, meter: Meter, waiting: str = "", behind: float = 0.0, remark: str = ""
+) -> tuple[str, bool]:
     """The text above a cloth, and whether it is an alarm.
 
     Args:
@@ -48,10 +58,13 @@ def label(name: str, meter: Meter, waiting: str = "", behind: float = 0.0) -> tu
         meter: What was measured of it.
         waiting: What it waits for, if it is not ready.
         behind: Simulated time [s] that it lags behind the others after having been stopped.
+        remark: What else is to be said of it.
     """
     remarks = [
+        remark,
         wrong_on_purpose(meter.latest.settings),
         "▲ unstable step" if any(map(is_unstable, effects(meter).values())) else "",
+        "▲ may tunnel" if any(map(may_tunnel, effects(meter).values())) else "",
     ]
     alarm = bool(meter.latest.refused)
     if alarm:

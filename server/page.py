@@ -113,7 +113,8 @@ class Page:
         meters = [meter.read() for meter in bench.meters]
         for i, meter in enumerate(meters):
             waiting = self._waiting or bench.waiting(i)
-            self.stage.label(i, *label(comparison.name(i), meter, waiting, bench.behind(i)))
+            remark = comparison.remark(i)
+            self.stage.label(i, *label(comparison.name(i), meter, waiting, bench.behind(i), remark))
         self.charts.show_momentum(self._keeps_momentum(comparison))
         time = max((meter.latest.time for meter in meters), default=0.0)  # finished; the clock may be ahead
         self.charts.add(time, meters, moved=time != self._charted)

@@ -8,6 +8,13 @@ from sim.model import Model
 from sim.report import StepReport
 from sim.settings import Settings
 
+UNSURE = {
+    "static": "looked for once per step",
+    "penalty": "springs give way",
+    "postprocess": "put right once",
+}
+"""Why detection or collision method may let through what moves by more than the thickness in a step."""
+
 
 def effects(
     settings: Settings, model: Model, report: StepReport, obstacles: bool, limit: float | None
@@ -44,6 +51,14 @@ def effects(
     return found
 
 
+def _tunnelling(settings: Settings, report: StepReport, thickness: float) -> str:
+    """That the step may have let something through, and why; empty where it was slow, or cannot."""
+    why = UNSURE.get("static" if settings.detection == "static" else settings.contact)
+    if why is None or report.moved <= thickness:
+        return ""
+    return f"; may tunnel: moved {1e3 * report.moved:.3g} mm, thickness {1e3 * thickness:.2g} mm, {why}"
+
+
 def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
     if settings.contact == "none":
         return "off: contact is none"
@@ -56,7 +71,7 @@ def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
         words += f"; pinched: obstacles leave {report.pinched} vertices less room than the thickness"
     if report.held_back:
         words += f"; {report.held_back} vertices held back from what they would have met"
-    return words
+    return words + _tunnelling(settings, report, settings.thickness)
 
 
 def _self_collision(settings: Settings, model: Model, report: StepReport) -> str:
@@ -71,7 +86,7 @@ def _self_collision(settings: Settings, model: Model, report: StepReport) -> str
         words += f", {report.hits} kept from meeting"
     if report.thickness < settings.thickness:
         words += f"; {1e3 * report.thickness:.2g} mm thick, 0.4 of an edge"
-    return words
+    return words + _tunnelling(settings, report, report.thickness or settings.thickness)
 
 
 def _integrator(settings: Settings, report: StepReport, limit: float | None) -> str:

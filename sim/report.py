@@ -37,6 +37,7 @@ class StepReport:
         contacts: Contacts that detection found.
         penetrations: Vertices inside an obstacle at the end of the step.
         deepest: How far the deepest of them is inside [m].
+        moved: The longest way that a vertex or an obstacle went [m].
         candidates: Pairs of features of cloth that were looked at.
         near: Of these, those nearer than the thickness at the start.
         thickness: That cloth had against cloth [m]; no more than a part of a typical edge.
@@ -63,6 +64,7 @@ class StepReport:
     contacts: int = 0
     penetrations: int = 0
     deepest: float = 0.0
+    moved: float = 0.0
     candidates: int = 0
     near: int = 0
     thickness: float = 0.0

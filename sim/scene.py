@@ -223,6 +223,8 @@ class Compare(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     by: str = "contact"
     values: list[Any] = field(default_factory=lambda: ["penalty", "impulse"])
+    fails: list[Any] = []
+    """Those of the values that fail on purpose; the page says so of them."""
 
 
 class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -366,3 +368,6 @@ def _problems(scene: Scene):
             convert(scene.compare.by, value)
         except ValueError as error:
             yield f"compare.values[{i}]", str(error)
+    for i, value in enumerate(scene.compare.fails):
+        if value not in scene.compare.values:
+            yield f"compare.fails[{i}]", f"expected one of compare.values, got {value!r}"

