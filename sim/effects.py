@@ -66,7 +66,7 @@ def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
         return "off: no obstacle, and self-collision is off"
     words = f"ran: {report.contacts} contacts" if report.contacts else "ran: nothing within reach"
     if report.substeps > 1:
-        words += f"; in {report.substeps} parts, as impulses alone did not untangle it"
+        words += f"; in {report.substeps} parts, as in one it would have tangled or put energy in"
     if report.pinched:
         words += f"; pinched: obstacles leave {report.pinched} vertices less room than the thickness"
     if report.held_back:

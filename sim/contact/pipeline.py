@@ -321,7 +321,8 @@ class Pipeline:
         else:
             contacts, pressed = found
             pressed[: len(impulses)] += impulses
-        if response.impulses and not last and self._erupts(way, contacts, pressed, solution):
+        watched = response.impulses and response.solved and not last
+        if watched and self._erupts(way, contacts, pressed, solution):
             return None
         return solution, touch(contacts.key, pressed, slip.of(contacts.key)[1])
 
