@@ -23,6 +23,9 @@ from sim.stress.keep import pack
 LONGEST, PATIENCE = 120.0, 60.0
 """A run is ended after the first [s] and so many times what it should take."""
 
+AGAIN = 1.0
+"""Seconds after which a run that goes on is told again to end."""
+
 
 class Fault(Exception):
     """A step went wrong; the figure says what."""
@@ -193,7 +196,10 @@ def take_picture(world: Simulation) -> Picture:
 
 @contextlib.contextmanager
 def _ended_after(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError in the block after so long, where the system and the thread allow."""
+    """Raise TimeoutError in the block after so long, where the system and the thread allow.
+
+    And again after each second more: what is raised in a callback of the garbage collector goes nowhere.
+    """
     if not hasattr(signal, "SIGALRM") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -202,9 +208,10 @@ def _ended_after(seconds: float) -> Iterator[None]:
         raise TimeoutError(f"not done after {seconds:.0f} s")
 
     before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    timer = signal.setitimer(signal.ITIMER_REAL, seconds, AGAIN)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_REAL, *timer)

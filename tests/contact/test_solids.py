@@ -49,6 +49,10 @@ CASES = {
         FALLING,
         {"vertices": [[-0.1, -0.1, 0], [0.1, -0.1, 0], [0, 0.12, 0.01]], "triangles": [[0, 1, 2]]},
     ),
+    "a sheet wider than the cloth": (
+        FALLING,
+        {"vertices": [[-0.9, -0.6, 0], [0.9, -0.6, 0], [0, 1.0, 0.01]], "triangles": [[0, 1, 2]]},
+    ),
     "a needle at 10 m/s": (HELD, {**NEEDLE, **going((0.0, [0, 0, -0.1], STILL), (0.03, [0, 0, 0.2], STILL))}),
     "a small ball at 10 m/s": (
         HELD,
@@ -130,7 +134,7 @@ def without(which, monkeypatch):
         ("a needle", "corners"),
         ("a needle at 10 m/s", "corners"),
         ("a knife", "edges"),
-        ("an open sheet", "vertices"),
+        ("a sheet wider than the cloth", "vertices"),
     ],
 )
 def test_each_kind_of_pair_is_needed(case, which, monkeypatch):

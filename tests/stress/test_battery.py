@@ -1,7 +1,9 @@
 """The battery itself: what passes, what is planned, where it runs, and what it leaves behind."""
 
+import contextlib
 import json
 import math
+import time
 from itertools import combinations
 from pathlib import Path
 
@@ -235,6 +237,24 @@ def test_a_run_that_does_not_end_is_ended(made_up, monkeypatch):
     made_up("endless", endless)
     monkeypatch.setattr("sim.stress.probe.PATIENCE", 0.0)
     assert "not done after" in run_task(Task("endless", 0)).trouble
+
+
+def test_a_run_is_ended_though_the_first_call_to_end_goes_nowhere(made_up, monkeypatch):
+    """As one does that comes while the garbage collector calls somebody back."""
+
+    def deaf(probe):
+        """It hears the second call."""
+        with contextlib.suppress(TimeoutError):
+            time.sleep(60.0)
+        while True:
+            time.sleep(0.01)
+            yield reported("on and on", 0.0)
+
+    monkeypatch.setattr("sim.stress.probe.LONGEST", 0.1)
+    monkeypatch.setattr("sim.stress.probe.PATIENCE", 0.0)
+    monkeypatch.setattr("sim.stress.probe.AGAIN", 0.1)
+    made_up("deaf", deaf)
+    assert "not done after" in run_task(Task("deaf", 0)).trouble
 
 
 def test_a_scene_that_starts_tangled_is_a_fault():
