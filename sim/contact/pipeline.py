@@ -42,7 +42,7 @@ MOST_ROUNDS = 8
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
 
-GROWTH = 0.01
+GROWTH = 0.1
 """Part of the kinetic energy by which a step may raise the energy and still be a good one."""
 
 MOST_FAILSAFES = 4
@@ -338,11 +338,13 @@ class Pipeline:
         mass, speed = self._model.masses, np.linalg.norm(contacts.speed, axis=1)
         moved = np.unique(contacts.node[contacts.weight != 0.0])
         work = (1.0 + way.settings.friction) * float(pressed @ speed)
-        thrown = 2.0 * mass[moved].sum() * speed.max() ** 2 + 0.5 * mass.sum() * RECOVERY_SPEED**2
+        thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
+        weight = float(np.linalg.norm(way.settings.gravity))
+        lifted = 0.5 * RECOVERY_SPEED**2 + way.settings.thickness * weight
         before, after = (0.5 * float(mass @ (v * v).sum(axis=1)) for v in (way.v, solution.velocities))
         stored = (self._model.potential(x, NO_GAP_SPRINGS) for x in (solution.positions, way.x))
         gained = after - before + next(stored) - next(stored)
-        return gained > work + thrown + GROWTH * before
+        return gained > work + thrown + mass.sum() * lifted + GROWTH * before
 
     def _untangle(
         self,
