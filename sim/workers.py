@@ -29,8 +29,10 @@ def local_pool(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
         pool = concurrent.futures.ProcessPoolExecutor(jobs, mp_context=fresh)
         try:
             yield pool
-        finally:
+        except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown()
 
 
 def connect(address: str) -> Any:
