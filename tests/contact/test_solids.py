@@ -155,8 +155,8 @@ def test_other_responses_stay_finite_on_a_mesh(contact):
 def test_cloth_on_a_fine_ball_of_triangles_lies_where_it_does_on_a_ball():
     """After 2/3 s, within 2 mm.
 
-    The middle of a triangle of the mesh is 0.6 mm inside the ball, and where several pairs of features push at
-    once they lift the cloth by up to a quarter of the thickness.
+    The middle of a triangle of the mesh is 0.6 mm inside the ball, and where several pairs of features push
+    at once they lift the cloth by up to a quarter of the thickness.
     """
     radius, cloth = 0.1, grid(**SHEET, position=[0, 0, 0.11])
     height = {}
