@@ -88,11 +88,10 @@ class Contacts(NamedTuple):
 
         An obstacle is behind each of the planes that it shows a vertex, so to be before one is enough.
         """
-        order = np.argsort(others.key, kind="stable")
-        place = np.searchsorted(others.key[order], self.key).clip(0, max(len(order) - 1, 0))
-        if not len(order):
+        if not len(others.key):
             return self
-        twin = order[place]
+        order = np.argsort(others.key, kind="stable")
+        twin = order[np.searchsorted(others.key[order], self.key).clip(0, len(order) - 1)]
         better = np.flatnonzero((others.key[twin] == self.key) & (others_lack[twin] < lack))
         mixed = Contacts(*(array.copy() for array in self))
         for array, other in zip(mixed, others, strict=True):

@@ -161,7 +161,7 @@ class Pipeline:
             with report.phase("detect"):
                 x = solution.positions
                 contacts = self._fitted(near, self._detect(response, way, x), x, report)
-                if response is not None and len(springs.contacts.key):
+                if response is not None:
                     lack = (lacks(response, c, x, h) for c in (contacts, springs.contacts))
                     contacts = contacts.or_else(springs.contacts, *lack)
                 late = self._late(response, way, contacts.only(slice(len(near.key), None)), springs, x)
@@ -342,9 +342,9 @@ class Pipeline:
         weight = float(np.linalg.norm(way.settings.gravity))
         lifted = 0.5 * RECOVERY_SPEED**2 + way.settings.thickness * weight
         before, after = (0.5 * float(mass @ (v * v).sum(axis=1)) for v in (way.v, solution.velocities))
-        stored = (self._model.potential(x, NO_GAP_SPRINGS) for x in (solution.positions, way.x))
-        gained = after - before + next(stored) - next(stored)
-        return gained > work + thrown + mass.sum() * lifted + GROWTH * before
+        # The start first: the solve has measured springs there, and where they end they are measured anyway.
+        stored, kept = (self._model.potential(x, NO_GAP_SPRINGS) for x in (way.x, solution.positions))
+        return after - before + kept - stored > work + thrown + mass.sum() * lifted + GROWTH * before
 
     def _untangle(
         self,

@@ -133,24 +133,25 @@ def on_a_needle() -> dict[str, Any]:
     return felt([grid((0.3, 0.3), (9, 9), position=[0, 0, 0.05]), needle], **HEAVY, jitter=JITTER)
 
 
-@case("C2-wire", "a sheet falls across a wire", seconds=0.3, runs=CAREFUL)
-def wire(probe: Probe) -> Iterator[Figure]:
-    """Only pairs of edges can meet: vertices against triangles alone would see nothing of it."""
-    trial = probe.start(on_a_wire(), judged=True)
-    trial.step(40)
+def hung_up(probe: Probe, made: dict[str, Any], steps: int) -> Iterator[Figure]:
+    """Figures of a sheet that falls on something thin that is cloth itself."""
+    trial = probe.start(made, judged=True)
+    trial.step(steps)
     yield at_most("intersections", 0.0, 0.0)
     yield at_least("pairs near, most in a step", max(r.near for r in trial.reports), 1.0)
     yield reported("vertices held back", held_back(trial))
+
+
+@case("C2-wire", "a sheet falls across a wire", seconds=0.3, runs=CAREFUL)
+def wire(probe: Probe) -> Iterator[Figure]:
+    """Only pairs of edges can meet: vertices against triangles alone would see nothing of it."""
+    yield from hung_up(probe, on_a_wire(), 40)
 
 
 @case("C2-needle", "a sheet falls on the tip of a needle", seconds=0.5, runs=CAREFUL)
 def needle(probe: Probe) -> Iterator[Figure]:
     """The tip meets a triangle of the sheet, and the needle's long edges the sheet's."""
-    trial = probe.start(on_a_needle(), judged=True)
-    trial.step(60)
-    yield at_most("intersections", 0.0, 0.0)
-    yield at_least("pairs near, most in a step", max(r.near for r in trial.reports), 1.0)
-    yield reported("vertices held back", held_back(trial))
+    yield from hung_up(probe, on_a_needle(), 60)
 
 
 @case("C2-box", "a sheet falls on a box of 2 mm on its edge", seconds=0.3, runs=CAREFUL)

@@ -33,7 +33,7 @@ def run_tasks(
         ValueError: for a cluster that cannot be had.
     """
     if cluster is not None:
-        return _on_cluster(tasks, cluster)
+        return _submitted(connect(cluster), tasks)
     return _locally(tasks, min(jobs or os.cpu_count() or 1, len(tasks)))
 
 
@@ -68,10 +68,6 @@ def _died(task: Task) -> Outcome:
     from sim.stress.probe import Outcome
 
     return Outcome(task, trouble="the process that ran it died")
-
-
-def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
-    return _submitted(connect(address), tasks)
 
 
 def _submitted(client, tasks: Sequence[Task]) -> Iterator[Outcome]:
