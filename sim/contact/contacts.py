@@ -124,11 +124,21 @@ class Touch(NamedTuple):
         key: (t,).
         pressed: (t,) normal impulse [N s].
         slip: (t,) speed at which the two sides passed each other after it [m/s].
+        lasted: () how long it was [s].
     """
 
     key: np.ndarray
     pressed: np.ndarray
     slip: np.ndarray
+    lasted: np.ndarray
+
+    def ahead(self, keys: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """(c,) force [N] that the contacts with these `keys` may go on with for `h` [s], and (c,) their slip.
+
+        An impact that a short step took up is over; it does not push all through a longer one.
+        """
+        pressed, slip = self.of(keys)
+        return pressed / max(h, float(self.lasted)), slip
 
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(c,) pressed and (c,) slip of the contacts with these `keys`, zero for what is new."""
@@ -139,15 +149,18 @@ class Touch(NamedTuple):
         return np.where(known, self.pressed[place], 0.0), np.where(known, self.slip[place], 0.0)
 
 
-UNTOUCHED = Touch(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+UNTOUCHED = Touch(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros(()))
 
 
-def touch(keys: np.ndarray, pressed: np.ndarray, slip: np.ndarray) -> Touch:
-    """What to remember: the sum of what pairs pressed by, and the largest slip, where there are several."""
+def touch(keys: np.ndarray, pressed: np.ndarray, slip: np.ndarray, h: float) -> Touch:
+    """What to remember of a step of `h` [s].
+
+    Where a pair has several contacts, that is the sum of what they pressed by and the largest slip.
+    """
     unique, place = np.unique(keys, return_inverse=True)
     most = np.zeros(len(unique))
     np.maximum.at(most, place, slip)
-    return Touch(unique, np.bincount(place, pressed, len(unique)), most)
+    return Touch(unique, np.bincount(place, pressed, len(unique)), most, np.array(h))
 
 
 @kernel

@@ -136,7 +136,7 @@ def gap_springs(
     inverse_masses: np.ndarray,
     predicted: np.ndarray,
     velocities: np.ndarray,
-    pressed: np.ndarray,
+    force: np.ndarray,
     slip: np.ndarray,
     settings: Settings,
 ) -> GapSprings:
@@ -149,7 +149,7 @@ def gap_springs(
         inverse_masses: (n,) [1/kg].
         predicted: (n, 3) where vertices would go without springs and contacts [m].
         velocities: (n, 3) at the start of the step [m/s].
-        pressed: (c,) normal impulse of each contact in the step before [N s].
+        force: (c,) with which each contact pressed in the step before [N].
         slip: (c,) slip expected after that step, zero for a new contact [m/s].
         settings: dt and friction are read.
     """
@@ -157,12 +157,12 @@ def gap_springs(
         return NO_GAP_SPRINGS
     h, mass = settings.dt, contacts.masses(inverse_masses)
     lack = lacks(response, contacts, predicted, h)
-    kept = np.flatnonzero(((lack > 0.0) | (pressed > 0.0)) & (mass < np.inf))
-    contacts, mass, lack, pressed, slip = (
+    kept = np.flatnonzero(((lack > 0.0) | (force > 0.0)) & (mass < np.inf))
+    contacts, mass, lack, force, slip = (
         contacts.only(kept),
         mass[kept],
         lack[kept],
-        pressed[kept],
+        force[kept],
         slip[kept],
     )
     elements = make_elements(contacts.node, 0)
@@ -170,14 +170,14 @@ def gap_springs(
     elements.stiffness[:] = response.stiffness * mass / h**2
     elements.rest[:] = targets(response, contacts, h)
     if response.carries:
-        elements.rest[:] += pressed / elements.stiffness
+        elements.rest[:] += force / elements.stiffness
     elements.drift[:] = along(contacts.normal, contacts.speed)
     passing = contacts.passing(velocities)
     closing = along(contacts.normal, passing)
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
     elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
     sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
-    force = np.maximum(pressed, mass * np.maximum(lack, 0.0) / h**2)
+    force = np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
     fast = np.maximum(sliding, slip)
     slowed = np.maximum(fast - settings.friction * force * h / mass, STEADY * fast)
     drag = settings.friction * force / np.maximum(slowed, CREEP)

@@ -22,7 +22,7 @@ THICK = 0.4
 """Part of a typical edge that cloth may be thick, so that a flat sheet does not touch itself."""
 
 FELT = 1.25
-"""Times the thickness within which a pair is a contact: what pressed must not be forgotten as it is let go."""
+"""Times the thickness within which a pair is a contact: what pressed must not be forgotten as it lets go."""
 
 GAP = 0.1
 """Part of the thickness that continuous detection keeps free on the way."""
@@ -98,7 +98,7 @@ class Pairs:
         pairs, weight = known, self._measure(known)
         distance = self._distance
         close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
-        close = close[~self._near_at_rest(pairs, close)]
+        close = close[~self._as_at_rest(pairs, close)]
         normal = np.einsum("ij,ijk->ik", weight[close], self._start[pairs.node[close]])
         normal /= distance[close, None]
         keep = np.full(len(close), self.thickness)
@@ -147,8 +147,8 @@ class Pairs:
         measure(*about, self._start, self._reach, self._distance, weight)
         return weight
 
-    def _near_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:
-        """Which of these pairs are of one piece and nearer than the thickness at rest, too."""
+    def _as_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:
+        """Which of these pairs are of one piece and as near at rest: within the thickness, or within reach."""
         rest, pieces, node = self._mesh.rest_vertices, self._mesh.pieces, pairs.node[close]
         inside = np.minimum(node, self._n - 1)
         alike = np.flatnonzero(
@@ -156,8 +156,9 @@ class Pairs:
         )
         apart, near = np.empty(len(alike)), np.zeros(len(close), dtype=bool)
         about = pairs.kind[close[alike]], node[alike], np.zeros(len(alike)), rest
-        measure(*about, rest, self.thickness, apart, np.empty((len(alike), 4)))
-        near[alike] = apart < self.thickness
+        measure(*about, rest, self._reach, apart, np.empty((len(alike), 4)))
+        let_go = self._distance[close[alike]] >= self.thickness
+        near[alike] = apart < np.where(let_go, self._reach, self.thickness)
         return near
 
     def _contacts(

@@ -45,8 +45,8 @@ MOST_HALVINGS = 5
 GROWTH = 0.1
 """Part of the kinetic energy by which a step may raise the energy and still be a good one."""
 
-SLACK = 0.2
-"""Part of the thickness that contacts may lack for a step where to push each vertex apart would put energy in."""
+SLACK = 0.1
+"""Part of the thickness that contacts may lack in a step where to push each by itself would put energy in."""
 
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
@@ -220,7 +220,9 @@ class Pipeline:
         response = RESPONSES.get(settings.contact)
         if response is None or INTEGRATORS[settings.integrator].implicit or not response.solved:
             return response
-        return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), carries=False, solved=False)
+        return replace(
+            response, stiffness=1.0, damping=min(response.damping, 0.5), carries=False, solved=False
+        )
 
     def _begin(self, way: _Way, pairs: Pairs | None) -> Contacts:
         """Pairs, and faces and obstacles, that are nearer than they should be at the start."""
@@ -265,7 +267,7 @@ class Pipeline:
         end: np.ndarray,
         touched: Touch,
     ) -> GapSprings:
-        state = self._model.inverse_masses, end, way.v, *touched.of(contacts.key)
+        state = self._model.inverse_masses, end, way.v, *touched.ahead(contacts.key, way.settings.dt)
         springs = gap_springs(response, contacts, near, *state, way.settings)
         if response is not None and not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
@@ -306,9 +308,9 @@ class Pipeline:
         else:  # it pushed as it did at the start
             pressed = h * np.maximum(-springs.elements.tension, 0.0)
         slip = springs.slip(solution.velocities)
-        felt = touch(springs.contacts.key, pressed, slip)
+        felt = touch(springs.contacts.key, pressed, slip, h)
         left = np.where(slip <= SLOW, s.friction * pressed - h * springs.drag * slip, 0.0)
-        crept = touch(springs.contacts.key, np.maximum(left, 0.0), slip)
+        crept = touch(springs.contacts.key, np.maximum(left, 0.0), slip, h)
         known = felt, crept.of(contacts.key)[0]
         found = self._push(response, pairs, way, contacts, *known, solution, last)
         if found is None and response.impulses and response.solved:
@@ -353,7 +355,7 @@ class Pipeline:
         watched = response.impulses and response.solved and not last
         if watched and self._erupts(way, contacts, pressed, solution):
             return None
-        return solution, touch(contacts.key, pressed / h, felt.of(contacts.key)[1])
+        return solution, touch(contacts.key, pressed, felt.of(contacts.key)[1], h)
 
     def _erupts(self, way: _Way, contacts: Contacts, pressed: np.ndarray, solution: Solution) -> bool:
         """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.

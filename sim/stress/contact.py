@@ -431,12 +431,12 @@ def turning(probe: Probe) -> Iterator[Figure]:
 
 
 def turn_rate(world: Simulation) -> float:
-    """Rate [rad/s] at which cloth turns about z: with friction that which touches near the axis, else all."""
+    """Rate [rad/s] at which cloth turns about z: with friction that which lies near the axis, else all."""
     x, v, m = world.positions, world.velocities, world.masses
     chosen = np.ones(len(m), bool)
     if world.settings.friction:
-        pressed = world.contact.touched.of(np.arange(len(m)))[0]
-        chosen = (pressed > 0) & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
+        lies = np.linalg.norm(x, axis=1) < 0.3 + 1.5 * world.settings.thickness
+        chosen = lies & (np.linalg.norm(x[:, :2], axis=1) < 0.2)
     return float(m[chosen] @ np.cross(x, v)[chosen, 2] / (m[chosen] @ (x[chosen, :2] ** 2).sum(axis=1)))
 
 

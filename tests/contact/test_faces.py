@@ -195,7 +195,7 @@ CORNER = [{"time": 0.0, "rotation": [0.6155, 0.6155, 0.3]}]  # a corner points u
 EDGE = [{"time": 0.0, "rotation": [np.pi / 4, 0, 0]}]
 PLATE = {"kind": "box", "center": [0, 0, 0], "size": [0.15, 0.002, 0.1]}
 CASES = {
-    "a small ball under a falling sheet": (FALLING, ball(radius=0.005)),
+    "a small ball under a falling sheet": (FALLING, ball(radius=0.003)),
     "a small ball at 10 m/s": (HELD, ball(radius=0.003, **shot(10.0))),
     "a ball at 100 m/s": (COARSE, ball(radius=0.05, **shot(100.0, 0.5))),
     "the end of a needle": (FALLING, UPRIGHT),

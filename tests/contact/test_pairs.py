@@ -7,7 +7,7 @@ import pytest
 import sim
 from sim.contact.impact import EDGE_EDGE, VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
-from sim.contact.pairs import AFTER, GAP, THICK, Pairs
+from sim.contact.pairs import AFTER, FELT, GAP, THICK, Pairs
 from sim.contact.proximity import measure
 from tests.contact import judge
 from tests.worlds import grid, scene
@@ -77,7 +77,7 @@ def test_gaps_are_distances(two):
     true = two.distances(c, two.x)
     np.testing.assert_allclose(c.start, true, rtol=1e-12)  # rounding of numbers a hundred times as large
     np.testing.assert_allclose(c.gaps(two.x), true, rtol=1e-12)
-    assert (true < two.thickness).all()
+    assert (true < FELT * two.thickness).all()
 
 
 def test_weights_are_those_of_points_on_the_features(two):
@@ -208,7 +208,7 @@ def test_a_solid_is_in_offset_and_speed_alone():
     back = c._replace(offset=c.offset - moved_by(c)[:, 0] * (c.normal @ shift))
     np.testing.assert_allclose(back.gaps(case.x), c.start, rtol=1e-9)
     np.testing.assert_allclose(c.speed, np.broadcast_to(shift / H * moved_by(c), c.speed.shape), rtol=1e-9)
-    assert (c.start < case.thickness).all()
+    assert (c.start < FELT * case.thickness).all()
 
 
 def moved_by(contacts):

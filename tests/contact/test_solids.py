@@ -153,10 +153,10 @@ def test_other_responses_stay_finite_on_a_mesh(contact):
 
 
 def test_cloth_on_a_fine_ball_of_triangles_lies_where_it_does_on_a_ball():
-    """After 2/3 s, within 2 mm.
+    """After 2/3 s, but for what chords of cloth lift it: before a mesh, all of the cloth keeps its distance.
 
-    The middle of a triangle of the mesh is 0.6 mm inside the ball, and where several pairs of features push
-    at once they lift the cloth by up to a quarter of the thickness.
+    Before a ball its vertices do. Diagonals of the sheet, 40 mm long, lift it by 40² / 8 / 105 = 1.9 mm, and
+    the middle of a triangle of the mesh is 0.6 mm inside the ball.
     """
     radius, cloth = 0.1, grid(**SHEET, position=[0, 0, 0.11])
     height = {}
@@ -168,4 +168,4 @@ def test_cloth_on_a_fine_ball_of_triangles_lies_where_it_does_on_a_ball():
         for _ in range(STEPS):
             world.step()
         height[name] = world.positions[:, 2].max()
-    assert height["mesh"] == pytest.approx(height["ball"], abs=2e-3)
+    assert height["mesh"] == pytest.approx(height["ball"], abs=2.5e-3)
