@@ -70,8 +70,10 @@ def slip_of(contacts, velocities, c):
 def rub(contacts, friction, masses, inverse_masses, h, positions, velocities, impulses, drag):
     """Slow each sliding contact by what the cone of `impulses` (c,) [N s] leaves over the solve's `drag`.
 
-    `masses` (c,) are those that the contacts move, infinite where they move nothing.
+    `masses` (c,) are those that the contacts move, infinite where they move nothing. Returns the work [J] of
+    these impulses that the motion of the contacts' other sides puts in.
     """
+    carried = 0.0
     for c in range(len(impulses)):
         slip = slip_of(contacts, velocities, c)
         speed = norm(slip)
@@ -79,6 +81,8 @@ def rub(contacts, friction, masses, inverse_masses, h, positions, velocities, im
         if speed > 0.0 and over > 0.0 and masses[c] < np.inf:
             shove = scale(-min(over / speed, masses[c]), slip)
             give(contacts, c, inverse_masses, shove, h, positions, velocities)
+            carried += dot(shove, row(contacts.speed, c))
+    return carried
 
 
 @inner

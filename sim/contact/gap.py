@@ -90,12 +90,28 @@ class GapSprings(NamedTuple):
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) forces [N] of the gap springs that push at `positions`, without friction."""
-        forces = np.zeros_like(positions)
-        if len(self.drag):
-            push = np.maximum(-self._tension(positions, velocities), 0.0)
-            shares = push[:, None, None] * self.elements.gradient
+        return self.shares(positions, velocities, pull=False)[0]
+
+    def shares(
+        self, positions: np.ndarray, velocities: np.ndarray, pull: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+        """Forces (n, 3) [N] of all gap springs, and of all drags; and the powers of their other sides' motion.
+
+        A solve lets those that it feels also `pull`, until it lets go of them.
+        """
+        normal, friction = np.zeros_like(positions), np.zeros_like(positions)
+        if not len(self.drag):
+            return normal, friction, (0.0, 0.0)
+        push, n = -self._tension(positions, velocities), self.contacts.normal
+        push = push if pull else np.maximum(push, 0.0)
+        passing = self.contacts.passing(velocities)
+        slip = passing - along(n, passing)[:, None] * n
+        each = push[:, None] * n, -self.drag[:, None] * slip
+        for forces, force in zip((normal, friction), each, strict=True):
+            shares = self.contacts.weight[:, :, None] * force[:, None]
             np.add.at(forces, self.contacts.node.ravel(), shares.reshape(-1, 3))
-        return forces
+        pushed, rubbed = (float(np.sum(force * self.contacts.speed)) for force in each)
+        return normal, friction, (pushed, rubbed)
 
     def engage(self, positions: np.ndarray, slack: float) -> bool:
         """Let go of contacts more than `slack` [m] off their target, and take up those that lack as much.

@@ -1,0 +1,153 @@
+"""The local error of a simulation's settings, measured: one frame with them beside the same frame, far finer.
+
+Both begin at a snapshot of the present state, in a simulation of the probe's own, so that nothing of the one that
+is looked at changes. The finer run is SDIRK2 with a sixteenth of the time step, solved twice by Newton. How good it
+is tells a second one with an eighth of the step: what these two differ by is an estimate, on the safe side, of how
+far the finer one is off itself. Of a smooth motion it is nothing; where cloth touches something every integrator is
+backward Euler, and the two are a sixteenth of its error apart.
+
+The error is local: that of a single frame, from a state that is taken for right. It is no bound on where many
+frames lead, which `muslin cost` measures.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.report import StepError
+from sim.settings import FIELDS, Settings
+from sim.simulation import Simulation, Snapshot
+from sim.studies.cost.measures import distances, size
+from sim.studies.cost.reference import FINER, MARGIN, reference_settings
+
+FRAME = 1 / 60
+"""Simulated time [s] of a frame; a longer time step is a frame of its own."""
+
+ACCELERATION = 1e-2
+"""Error of acceleration [m/s²] that a solve of the finer run may leave, a thousandth of the earth's."""
+
+ROUNDING = 1e-12
+"""Relative distance that is rounding."""
+
+
+class Stopped(Exception):
+    """Nobody asks any more."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where a frame leads, as far as is known.
+
+    Attributes:
+        positions: (n, 3) at its end [m].
+        seconds: Its length [s].
+        floor: How far, relative to the cloth's size, the two finer runs are apart.
+    """
+
+    positions: np.ndarray
+    seconds: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class LocalError:
+    """What a frame with some settings was off by, and took.
+
+    Attributes:
+        error: Mass-weighted distance from the finer run, relative to the cloth's diagonal.
+        floor: How far the finer run may be off itself, in the same measure.
+        seconds: Length of the frame [s].
+        ms: Milliseconds of a step with the settings, the median of the frame's.
+        took: What the measurement took [s], finer runs and all.
+    """
+
+    error: float
+    floor: float
+    seconds: float
+    ms: float
+    took: float = 0.0
+
+    @property
+    def sure(self) -> bool:
+        """Whether the finer run is known to a tenth of the error, or all is exact to rounding."""
+        return MARGIN * self.floor <= max(self.error, ROUNDING)
+
+    @property
+    def least(self) -> float:
+        """What the error is at least."""
+        return max(self.error - self.floor, 0.0)
+
+    @property
+    def most(self) -> float:
+        """What the error is at most."""
+        return self.error + self.floor
+
+
+class Probe:
+    """Measures local errors of a scene's cloth.
+
+    Args:
+        world: A simulation of the scene, which nobody else steps.
+        stopped: Asked between steps; once it says so, Stopped is raised.
+    """
+
+    def __init__(self, world: Simulation, stopped: Callable[[], bool] = lambda: False) -> None:
+        self._world, self._stopped = world, stopped
+        self._length = size(world)
+
+    def measure(self, state: Snapshot) -> LocalError:
+        """The local error at a state of the settings that hold there.
+
+        Raises:
+            StepError: where a step could not be done, of the frame or of the finer runs.
+        """
+        begin = time.perf_counter()
+        settings = state.ramp.target
+        truth = self.truth(state, settings, max(FRAME, settings.dt))
+        found = self.error(state, {}, truth)
+        return LocalError(found.error, found.floor, found.seconds, found.ms, time.perf_counter() - begin)
+
+    def truth(self, state: Snapshot, settings: Settings, seconds: float) -> Truth:
+        """Where a frame of about `seconds` [s] leads from a state, with the physics of `settings`.
+
+        The frame has a whole number of steps of settings.dt.
+        """
+        steps = max(1, math.ceil(seconds / settings.dt * (1.0 - 1e-9)))
+        fine, _, coarse = reference_settings(settings, settings.dt / FINER)
+        ends = []
+        for chosen, finer in ((fine, FINER), (coarse, FINER // 2)):
+            tolerance = FIELDS["tolerance"].clamp(ACCELERATION * chosen["dt"] ** 2)
+            self._go(state, {**chosen, "tolerance": tolerance, "threads": 1}, steps * finer)
+            ends.append(self._world.positions.copy())
+        return Truth(ends[0], steps * settings.dt, self._apart(*ends))
+
+    def error(self, state: Snapshot, changes: dict[str, Any], truth: Truth) -> LocalError:
+        """How far from the truth the settings lead that hold at a state, with these `changes`."""
+        dt = changes.get("dt", state.ramp.target.dt)
+        ms = self._go(state, changes, round(truth.seconds / dt))
+        error = self._apart(self._world.positions, truth.positions)
+        return LocalError(error, truth.floor, truth.seconds, float(np.median(ms)))
+
+    def _go(self, state: Snapshot, changes: dict[str, Any], steps: int) -> list[float]:
+        """Step from a state with changed settings; gives the milliseconds of each step."""
+        self._world.restore(state)
+        if changes:
+            self._world.update(**changes)
+        ms = []
+        for _ in range(steps):
+            if self._stopped():
+                raise Stopped
+            ms.append(self._world.step().ms["total"])
+        return ms
+
+    def _apart(self, one: np.ndarray, other: np.ndarray) -> float:
+        return float(distances(one[None], other[None], self._world.masses, self._length)[0])
+
+
+__all__ = ["FRAME", "LocalError", "Probe", "StepError", "Stopped", "Truth"]
