@@ -46,6 +46,13 @@ class Reset:
 
 
 @dataclass(frozen=True)
+class Ask:
+    """Command: hand a snapshot of the state to `reply`, in the lane's thread; None where there is none."""
+
+    reply: Callable[[Any], None]
+
+
+@dataclass(frozen=True)
 class Frame:
     """What one variant looks like and cost, at one time. Never changed once made.
 
@@ -57,6 +64,7 @@ class Frame:
         ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
         report: The last step's report, None before the first.
         energy: Energies [J] by kind.
+        ledger: Where energy went, None where no books are kept.
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
         settings: In force when the frame was made.
         refused: Why the last step was refused; empty while all is well.
@@ -70,6 +78,7 @@ class Frame:
     ms: Mapping[str, float] | None = None
     report: Any = None
     energy: Mapping[str, float] = field(default_factory=dict)
+    ledger: Any = None
     momentum: tuple[np.ndarray, np.ndarray] | None = None
     settings: Settings | None = None
     refused: str = ""
@@ -104,7 +113,7 @@ class Lane(threading.Thread):
         self._refused = self._note = ""
         self._spent: list[Mapping[str, float]] = []
 
-    def send(self, command: Advance | Change | Reset) -> None:
+    def send(self, command: Advance | Change | Reset | Ask) -> None:
         """Queue a command; it takes effect between two steps."""
         with self._count_lock:
             self._unfinished += 1
@@ -165,6 +174,9 @@ class Lane(threading.Thread):
                 self._owed += command.seconds
             elif isinstance(command, Reset):
                 self._start(command.settings)
+            elif isinstance(command, Ask):
+                snapshot = getattr(self._world, "snapshot", None)
+                command.reply(snapshot() if snapshot else None)
         self._change(changes)
         return sum(command is not None for command in commands)
 
@@ -227,6 +239,7 @@ class Lane(threading.Thread):
             ms=mean_ms(self._spent),
             report=self._report,
             energy=dict(world.energy()),
+            ledger=getattr(world, "ledger", None),
             momentum=world.momentum(),
             settings=world.settings,
             refused=self._refused,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from server.lane import Frame, mean_ms
+from server.prober import NO_READING, Reading
 
 
 class Meter:
@@ -14,6 +15,7 @@ class Meter:
         latest: The newest frame.
         ms: Mean milliseconds per step, by phase and "total", over the frames before the last `read`; None
             until a step was measured.
+        reading: What is known of its local error.
         inside: Most vertices inside an obstacle after any of those frames; None until a step was measured.
     """
 
@@ -21,6 +23,7 @@ class Meter:
         self.latest = Frame()
         self.ms: dict[str, float] | None = None
         self.inside: int | None = None
+        self.reading: Reading = NO_READING
         self._frames: list[Frame] = []
 
     def add(self, frame: Frame) -> None:

@@ -1,23 +1,24 @@
 """The energy ledger: where a simulation's energy went, entry by entry, and what does not add up.
 
-A step takes (x₀, v₀) to (x₁, v₁). With v̄ = ½ (v₀ + v₁) its kinetic energy changes by exactly v̄·M (v₁ − v₀), and
-what impulses do to it is v̄ times each. Impulses are integrated by the integrator itself, along with the state, from
-forces that are evaluated anew at its stages: S of springs and gravity with the springs' damping; N and F of
-contacts, normal and friction; L, the force that a solve took for granted, less what it turned out to be.
+A step takes (x₀, v₀) to (x₁, v₁). With v̄ = ½ (v₀ + v₁) its kinetic energy changes by exactly v̄·M (v₁ − v₀),
+and what impulses do to it is v̄ times each. Impulses are integrated by the integrator itself, along with the
+state, from forces that are evaluated anew at its stages: S of springs and gravity with the springs' damping;
+N and F of contacts, normal and friction; L, the force that a solve took for granted, less what it turned out
+to be.
 
 - damping: Σ b q̇² at the stages, with the integrator's weights: never negative.
 - friction, contact: −v̄·F and −v̄·N, with what `rub` and `keep_apart` gave after the solve, and without the
-  share of obstacles, which put in (impulse)·(their velocity). An inelastic impact loses ½ m v² so. In a step in
-  which the slip turns about, friction may come out a little below zero.
+  share of obstacles, which put in (impulse)·(their velocity). An inelastic impact loses ½ m v² so. In a step
+  in which the slip turns about, friction may come out a little below zero.
 - linearisation: −v̄·L. A step that is solved to the end has none.
-- integrator: −ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For backward Euler
-  without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares that a step of it
-  loses for every convex E, and for any other integrator what its own rule for x and v comes to. Where contact
-  moves vertices after the solve, which asks no spring, what springs gain by it is in here, too.
+- integrator: −ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For backward
+  Euler without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares that a
+  step of it loses for every convex E, and for any other integrator what its own rule for x and v comes to.
+  Where contact moves vertices after the solve, which asks no spring, what springs gain by it is in here, too.
 
-What is left, the residual, is v̄·(M (v₁ − v₀) − S − N − F − L) in each step, the work of a force that no entry knows:
-what the linear solver's tolerance left of the equation of motion; and any energy that changed between steps
-without being booked. It is no part of any entry, and would show one that is wrong.
+What is left, the residual, is v̄·(M (v₁ − v₀) − S − N − F − L) in each step, the work of a force that no
+entry knows: what the linear solver's tolerance left of the equation of motion; and any energy that changed
+between steps without being booked. It is no part of any entry, and would show one that is wrong.
 
 Source of the two squares: the dissipation of implicit Euler, e.g. Hairer, Lubich and Wanner (2006), VI.
 """
@@ -57,7 +58,8 @@ class Ledger:
         energy: Now, by kind.
         dissipated: By what; an entry is negative where it put energy in.
         injected: By what; an entry is negative where it took energy out.
-        turnover: Of all steps, what kinds of energy and entries changed by, without sign: the scale of errors.
+        turnover: Of all steps, what kinds of energy and entries changed by, without sign: the scale of
+        errors.
     """
 
     start: float
@@ -97,10 +99,8 @@ class Books:
             self.start, energy, {name: self.flows[name] for name in DISSIPATED}, injected, self.turnover
         )
 
-    def after(
-        self, parts: list[Part], settings: float, switched: float, rows: np.ndarray | None
-    ) -> Books:
-        """With a step that was made in `parts`, what settings put in before it, and switched springs after."""
+    def after(self, parts: list[Part], settings: float, switched: float, rows: np.ndarray | None) -> Books:
+        """With a step made in `parts`, what settings put in before it, and switched springs after."""
         flows, turnover = dict(self.flows), self.turnover + abs(settings) + abs(switched)
         flows["settings"] += settings
         flows["switched springs"] += switched
@@ -114,9 +114,9 @@ class Books:
 class Tally:
     """Impulses and work of a step's forces, integrated by the integrator along with the state.
 
-    They are rows below the velocities: `n` each of S, L, N and F, then the powers of damping, of springs that are
-    wrong on purpose, and, of what contacts push and rub with, the parts of obstacles. Below positions are as many,
-    which mean nothing.
+    They are rows below the velocities: `n` each of S, L, N and F, then the powers of damping, of springs that
+    are wrong on purpose, and, of what contacts push and rub with, the parts of obstacles. Below positions are
+    as many, which mean nothing.
 
     Args:
         model: Springs and masses.
@@ -169,7 +169,7 @@ class Tally:
         return rates
 
     def _powers(self, v: np.ndarray) -> tuple[float, float]:
-        """That damping takes [W], and that springs which are wrong on purpose give the cloth; after `forces`."""
+        """What damping takes [W], and what springs that are wrong on purpose give; after `forces`."""
         still, damping, wrong = np.zeros_like(v), 0.0, 0.0
         for springs in self._model.springs:
             e = springs.elements

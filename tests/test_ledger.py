@@ -5,7 +5,7 @@ import pytest
 
 import sim
 import sim.ledger
-from tests.worlds import chain, grid, scene
+from tests.worlds import chain, grid, irregular, scene
 
 G = 9.81
 ROUND_OFF = 1e-12
@@ -53,9 +53,11 @@ def test_an_undamped_spring_loses_to_the_integrator_what_its_stability_function_
     assert abs(ledger.residual) < 1e-9
 
 
-@pytest.mark.parametrize("integrator", ["backward_euler", "bdf2", "midpoint", "trapezoid", "sdirk2", "tr_bdf2"])
+@pytest.mark.parametrize(
+    "integrator", ["backward_euler", "bdf2", "midpoint", "trapezoid", "sdirk2", "tr_bdf2"]
+)
 def test_damping_takes_what_the_exact_motion_loses_and_the_rest_shrinks_with_the_step(integrator):
-    """x = e^(−γωt) (cos ω_d t + γω/ω_d sin ω_d t): its energy after 0.4 s is known."""
+    """It is x = e^(−γωt) (cos ω_d t + γω/ω_d sin ω_d t): its energy after 0.4 s is known."""
     gamma, t, w = 0.2, 0.4, np.sqrt(50.0)
     wd = w * np.sqrt(1 - gamma**2)
     decay = 0.1 * np.exp(-gamma * w * t)
@@ -69,7 +71,7 @@ def test_damping_takes_what_the_exact_motion_loses_and_the_rest_shrinks_with_the
         off.append((ledger.dissipated["damping"] - lost, ledger.dissipated["integrator"]))
     shrinks = 2.0 if integrator == "backward_euler" else 4.0  # first and second order
     for coarse, fine in zip(*off, strict=True):
-        assert abs(coarse) < 0.1 * lost
+        assert abs(coarse) < 0.2 * lost
         assert abs(fine) < 1.25 * abs(coarse) / shrinks + 1e-9  # the next order is still a part of it
 
 
@@ -87,10 +89,16 @@ TILT = 0.6
 
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
 def test_friction_on_an_incline_takes_its_force_times_the_way(contact):
-    """μ m g cosα d, where friction is too weak to hold; each step is off by less than it slides in another."""
+    """μ m g cosα d, where friction is too weak to hold; off by less than a step's way."""
     mu, down = 0.3, np.array([-np.sin(TILT), 0.0, -np.cos(TILT)])
     cloth = grid((0.2, 0.2), (4, 4), position=[0, 0, 5e-3])
-    settings = {"contact": contact, "friction": mu, "gravity": (G * down).tolist(), "dt": 1 / 240, "newton": 4}
+    settings = {
+        "contact": contact,
+        "friction": mu,
+        "gravity": (G * down).tolist(),
+        "dt": 1 / 240,
+        "newton": 4,
+    }
     world = kept(cloth, {"kind": "plane"}, **settings, tolerance=1e-8)
     at = world.positions.copy()
     ledger = run(world, 0.5)
@@ -104,7 +112,7 @@ def test_friction_on_an_incline_takes_its_force_times_the_way(contact):
 
 
 def test_a_belt_puts_in_twice_what_the_cloth_has_when_it_moves_along():
-    """m u² of work by friction's force on the way of the belt: ½ m u² became heat while it slipped."""
+    """Its force does m u² of work on the way of the belt: ½ m u² became heat while it slipped."""
     belt = {"kind": "plane", "motion": "linear", "path": [{"time": 0.0, "position": [0, 0, 0]}]}
     belt["path"].append({"time": 1.0, "position": [0.5, 0, 0]})
     cloth = grid((0.2, 0.2), (4, 4), position=[0, 0, 5e-3])
@@ -121,7 +129,7 @@ def test_a_belt_puts_in_twice_what_the_cloth_has_when_it_moves_along():
 def test_a_sheet_that_lands_flat_loses_its_kinetic_energy_to_contact(contact):
     """½ m v² at 2 m/s, and, as its last way is cut short, less than one step's fall of another."""
     world = kept(grid((0.2, 0.2), (4, 4)), {"kind": "plane"}, contact=contact, gravity=DOWN, dt=1 / 240)
-    above = world.positions + [0.0, 0.0, 0.02]
+    above = world.positions + np.array([0.0, 0.0, 0.02])
     world.place(above, np.tile([0.0, 0.0, -2.0], (len(above), 1)))
     ledger = run(world, 0.2)
     before = world.masses.sum() * (0.5 * 2.0**2 + G * 0.015)
@@ -159,9 +167,10 @@ def test_springs_that_are_wrong_on_purpose_and_springs_that_are_switched_have_en
     ledger = run(ghost, 0.6)
     assert ledger.injected["wrong springs"] > 0.1 * ledger.energy["kinetic"]
     assert abs(ledger.residual) < 1e-9 * ledger.turnover
-    fallen = sim.Simulation("drape", altitudes="shortest", newton=1)
-    fallen.keep_ledger()
+    mesh = irregular(noise=0.1)
+    fallen = kept(mesh, altitudes="shortest", bend="none", contact="none", dt=0.01)
     switched = sum(fallen.step().energy_jump for _ in range(40))
+    assert abs(fallen.ledger.residual) < 1e-3 * fallen.ledger.turnover
     assert fallen.ledger.injected["switched springs"] == pytest.approx(switched, rel=1e-12)
     assert switched != 0.0
 
@@ -172,7 +181,7 @@ MADE = [
     ("drape", {"contact": "postprocess", "detection": "static"}),
     ("curtain", {"integrator": "bdf2", "newton": 3}),
     ("ghost", {"integrator": "tr_bdf2", "bend": "adhoc"}),
-    ("strip", {"integrator": "symplectic_euler", "dt": 1e-4}),
+    ("drape2d", {"integrator": "symplectic_euler", "dt": 5e-5}),
 ]
 
 
@@ -207,14 +216,16 @@ def test_books_go_back_with_a_snapshot_and_begin_anew_where_cloth_is_placed():
 def test_a_force_that_no_entry_knows_is_a_residual(monkeypatch, lost):
     """The residual is no definition: books that leave out a force do not add up."""
     after = sim.ledger.Tally.after
+
     def forgetful(self, stage, v_hat, h):
         x, end = after(self, stage, v_hat, h)
         n = len(stage.positions)
-        end[2 * n : 3 * n] *= lost != "normal"
-        end[3 * n : 4 * n] *= lost != "friction"
+        end[3 * n : 4 * n] *= lost != "normal"
+        end[4 * n : 5 * n] *= lost != "friction"
         return x, end
 
     monkeypatch.setattr(sim.ledger.Tally, "after", forgetful)
-    down = np.array([-np.sin(TILT), 0.0, -np.cos(TILT)]) * G
-    world = kept(grid((0.2, 0.2), (4, 4), position=[0, 0, 8e-3]), {"kind": "plane"}, gravity=down.tolist())
-    assert abs(run(world, 0.3).residual) > 0.05 * world.ledger.turnover
+    world = kept(grid((0.2, 0.2), (4, 4)), {"kind": "plane"}, gravity=DOWN, dt=1 / 240)
+    above = world.positions + np.array([0.0, 0.0, 0.02])
+    world.place(above, np.tile([2.0, 0.0, -2.0], (len(above), 1)))
+    assert abs(run(world, 0.2).residual) > 0.1 * world.ledger.turnover

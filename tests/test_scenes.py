@@ -63,7 +63,7 @@ It is what the solver's tolerance leaves of the equation of motion: 7e-4 at wors
 
 @pytest.mark.parametrize(("scene", "settings"), list(variants()))
 def test_the_first_two_seconds_of_every_variant_are_calm(scene, settings):
-    """No step fails, nothing flies apart, the cloth keeps its size, impulses let nothing in; energy adds up."""
+    """No step fails, nothing flies apart, cloth keeps its size, impulses let nothing in; energy adds up."""
     world = sim.Simulation(scene, **settings)
     world.keep_ledger()
     while world.time < 2.0:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compiled import inner, kernel
-from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps
+from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps, weighted
 from sim.contact.friction import CREEP, EXCESS, expected_drag, slip_of
 from sim.contact.response import Response, lacks, targets
 from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
@@ -77,6 +77,18 @@ class GapSprings(NamedTuple):
         self.drag[:] = drag
         return True
 
+    def drag_along(self, velocities: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Coefficients of 1, t and t² in Σ d (slip)² at velocities + t step, as those of damping."""
+        if not len(self.drag):
+            return np.zeros(3)
+        n = self.contacts.normal
+        slip, change = (
+            vectors - along(n, vectors)[:, None] * n
+            for vectors in (self.contacts.passing(velocities), weighted(self.contacts, step))
+        )
+        squares = np.stack([along(slip, slip), 2.0 * along(slip, change), along(change, change)])
+        return squares @ self.drag
+
     def slip(self, velocities: np.ndarray) -> np.ndarray:
         """(c,) speed across each contact [m/s]."""
         passing, n = self.contacts.passing(velocities), self.contacts.normal
@@ -95,7 +107,7 @@ class GapSprings(NamedTuple):
     def shares(
         self, positions: np.ndarray, velocities: np.ndarray, pull: bool = True
     ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-        """Forces (n, 3) [N] of all gap springs, and of all drags; and the powers of their other sides' motion.
+        """Forces (n, 3) [N] of all gap springs and of all drags, and the powers of their other sides' motion.
 
         A solve lets those that it feels also `pull`, until it lets go of them.
         """

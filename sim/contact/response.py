@@ -104,8 +104,8 @@ def project(contacts, friction, masses, inverse_masses, positions, velocities, r
     """Put contacts that are nearer than their thickness at it, and take off the speed at which they close.
 
     Positions change and velocities do not follow them; the speed taken off brings friction with it. Adds what
-    friction changes velocities by to `rubbed` (n, 3) [m/s], and returns the work [J] that the motion of the other
-    sides puts in by pushing and by friction.
+    friction changes velocities by to `rubbed` (n, 3) [m/s], and returns the work [J] that the motion of the
+    other sides puts in by pushing and by friction.
     """
     pushed = dragged = 0.0
     for _ in range(PROJECTIONS):

@@ -1,8 +1,9 @@
 """The one kernel that every implicit integrator calls: backward Euler from (x̂, v̂) over h.
 
 It finds v with x = x̂ + h v and M (v − v̂) = h f(x, v), which minimises the incremental potential
-Φ(v) = ½ ‖v − v̂‖²_M + E(x̂ + h v) + ½ h Σ b q̇². One Newton iteration is the linearised step of Baraff and
-Witkin (1998); more of them, with a line search that never lets Φ grow, converge to the solution.
+Φ(v) = ½ ‖v − v̂‖²_M + E(x̂ + h v) + ½ h Σ b q̇², where friction's drag counts like damping. One Newton iteration
+is the linearised step of Baraff and Witkin (1998); more of them, with a line search that never lets Φ grow,
+converge to the solution.
 """
 
 from __future__ import annotations
@@ -259,7 +260,7 @@ def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) ->
             damping_along(e, velocities, step)
             for e in (*(s.elements for s in model.springs), contacts.elements)
         ),
-        np.zeros(3),
+        contacts.drag_along(velocities, step),
     )
 
     def potential(t: float) -> float:
