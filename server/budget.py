@@ -59,4 +59,4 @@ class BudgetTab:
 
     def say(self, line: str) -> None:
         """Write the answer, or how far it is."""
-        update(self._answer, f'<div class="muslin"><p><b>{escape(line)}</b></p></div>')
+        update(self._answer, f'<div class="muslin"><p>{escape(line)}</p></div>')

@@ -33,7 +33,7 @@ class Charts:
         gui = server.gui
         panel = gui.add_panel()
         self._tradeoff = Tradeoff()
-        with panel.add_tab("Measured"):
+        with panel.add_tab("Cost"):
             gui.add_html(caption("local error of a frame against its cost"))
             self._chart = gui.add_html("")
             self._table = gui.add_html("")

@@ -1,8 +1,8 @@
 """Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
 
-The time that probes take is accounted for: between changes, all of them together take at most SHARE of the
-time that the lanes step. What a change made out of date is measured again as soon as changes have settled,
-and paid for by a longer wait afterwards. While nobody looks nothing is measured.
+The time that probes take is accounted for: the regular ones, all together, take at most SHARE of the time
+that the lanes step. What a change made out of date, or a pause, is measured once as soon as changes have
+settled. While nobody looks nothing is measured.
 """
 
 from __future__ import annotations
@@ -117,17 +117,20 @@ class Prober:
         if self._busy or self._build is None or not watched or not bench.ready:
             return
         if (index := self._next(bench)) is not None:
-            self._turn = index + 1
-            self.ask(bench, index, _measure, lambda found: self._take(index, found))
+            self._turn, regular = index + 1, bench.playing and self.readings[index] is not MEASURING
+            self.ask(bench, index, _measure, lambda found: self._take(index, found), regular)
 
-    def ask(self, bench: Bench, index: int, work: Work, then: Callable[[Any], None]) -> None:
+    def ask(
+        self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], regular: bool = False
+    ) -> None:
         """Do `work` on the present state of a variant, and `then` take its result, or what it raised.
 
-        A change of that variant's settings ends the work with Stopped.
+        A change of that variant's settings ends the work with Stopped. What is done `regular`ly counts as
+        spent.
         """
         token = self._run, index, self._versions[index]
         self._busy = True
-        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then))))
+        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then, regular))))
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="muslin prober", daemon=True)
             self._thread.start()
@@ -168,10 +171,11 @@ class Prober:
         with contextlib.suppress(AttributeError, OSError):  # Linux has a priority for each thread
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (job := self._jobs.get()) is not None:
-            token, state, work, then = job
+            token, state, work, then, regular = job
             begin = perf_counter()
             result = self._result(token, state, work)
-            self._post(self._answer, token, result, then, perf_counter() - begin)
+            took = perf_counter() - begin if regular else 0.0
+            self._post(self._answer, token, result, then, took)
 
     def _result(self, token: tuple[int, int, int], state: Any, work: Work) -> Any:
         from sim.probe import Probe

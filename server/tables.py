@@ -17,6 +17,9 @@ from server.palette import VARIANTS
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
 
+RULED = ("at the start", "= now", "|P| [kg m/s]")
+"""Rows with a line above them."""
+
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
 
@@ -41,12 +44,10 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
     """Name, cost, work and trouble of each variant; what is bad is bold."""
     rows = []
     for i, (name, meter) in enumerate(zip(names, meters, strict=True)):
-        report = meter.latest.report
         cells = [
             number(meter.ms["total"] if meter.ms else None),
-            number(real_time(meter)),
+            style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
             f"{error_text(meter.reading)} {meter.reading.trend}".rstrip(),
-            style.UNKNOWN if report is None else str(report.contacts),
             style.UNKNOWN
             if meter.inside is None
             else f'<span class="{"bad" if meter.inside else ""}">{meter.inside}</span>',
@@ -54,11 +55,11 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
         title = f"<td>{style.chip(VARIANTS[i])}{escape(name)}</td>"
         rows.append(f"<tr>{title}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
         if trouble := meter.latest.refused or meter.latest.note:
-            rows.append(f'<tr><td colspan="6" class="bad">{escape(trouble)}</td></tr>')
+            rows.append(f'<tr><td colspan="5" class="bad">{escape(trouble)}</td></tr>')
         if wrong := what_is_wrong(meter.latest.settings):
             phrase = escape(f"{ON_PURPOSE}: {wrong}")
-            rows.append(f'<tr><td colspan="6" class="small">{phrase}</td></tr>')
-    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "contacts", "inside"))
+            rows.append(f'<tr><td colspan="5" class="small">{phrase}</td></tr>')
+    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "inside"))
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
 
 
@@ -79,11 +80,16 @@ def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
         return ""
     head = "".join(f"<th>{style.chip(VARIANTS[i])}{escape(n)}</th>" for i, n in enumerate(names))
     lines = [
-        f'<tr><td class="dim">{escape(title)}</td>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
+        f'<tr{look(title)}><td class="dim">{escape(title)}</td>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
         for title, cells in rows
     ]
     looks = "muslin many" if many else "muslin"
     return f'<div class="{looks}"><table><tr><th></th>{head}</tr>{"".join(lines)}</table></div>'
+
+
+def look(title: str) -> str:
+    """How a row looks: what begins something new has a line above it."""
+    return ' class="rule"' if title in RULED else ""
 
 
 def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:

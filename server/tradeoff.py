@@ -15,7 +15,7 @@ from server.palette import VARIANTS, WHITE
 WIDTH, HEIGHT = 280, 168
 """Of the chart [CSS px]."""
 
-LEFT, RIGHT, TOP, BOTTOM = 44, 10, 8, 30
+LEFT, RIGHT, TOP, BOTTOM = 48, 10, 8, 34
 """What is about the plot [CSS px]."""
 
 TRAIL = 12
@@ -118,13 +118,13 @@ def _axes(costs: tuple[int, int], errors: tuple[int, int]) -> str:
             x, _ = _place((times * 10.0**power, 1.0), costs, errors)
             parts.append(_line(x, TOP, x, bottom, times == 1))
         x, _ = _place((10.0**power, 1.0), costs, errors)
-        parts.append(f'<text x="{x:g}" y="{bottom + 11}" text-anchor="middle">{short(10.0**power)}</text>')
+        parts.append(f'<text x="{x:g}" y="{bottom + 14}" text-anchor="middle">{_tick(power)}</text>')
     stride = max(1, math.ceil((errors[1] - errors[0]) / 6))
     for power in range(errors[0], errors[1] + 1):
         _, y = _place((1.0, 10.0**power), costs, errors)
         parts.append(_line(LEFT, y, right, y, True))
         if (power - errors[0]) % stride == 0:
-            words = f"{short(10.0 ** (power + 2))} %"
+            words = f"{_tick(power + 2)} %"
             parts.append(f'<text x="{LEFT - 4}" y="{y + 3.5:g}" text-anchor="end">{words}</text>')
     middle = f'x="{LEFT + _wide() / 2:g}" y="{HEIGHT - 4}" text-anchor="middle"'
     parts.append(f"<text {middle}>ms per frame of 1/60 s</text>")
@@ -134,6 +134,11 @@ def _axes(costs: tuple[int, int], errors: tuple[int, int]) -> str:
         side = ("end", -3) if x > LEFT + _wide() / 2 else ("start", 3)
         parts.append(f'<text x="{x + side[1]:g}" y="{TOP + 9}" text-anchor="{side[0]}">real time</text>')
     return "".join(parts)
+
+
+def _tick(power: int) -> str:
+    """A power of ten beside an axis: 0.001, 10, 100, 1k."""
+    return f"{10.0**power:g}" if -3 <= power < 3 else short(10.0**power)
 
 
 def _line(x: float, y: float, u: float, v: float, strong: bool) -> str:

@@ -1,12 +1,13 @@
 """The local error of a simulation's settings, measured: one frame with them beside the same frame, far finer.
 
 Both begin at a snapshot of the present state, in a simulation of the probe's own, so that nothing of the one
-that is looked at changes. The finer run is SDIRK2 with a sixteenth of the time step, solved twice by Newton. How
-good it is tells a second one with an eighth of the step: how far these two are apart is called the floor. Of a
-smooth motion the finer one is off by a third of that. Where cloth touches something every integrator is backward
-Euler, the two are a sixteenth of its error apart, and the finer one is off by about as much; where it lands, that is
-uneven, and twice as much was seen. So an error is taken as known where the floor is a tenth of it, and else only
-as at least what it exceeds the floor by.
+that is looked at changes. The finer run is SDIRK2, solved twice by Newton, with a quarter of the time step,
+an eighth or a sixteenth. How far it is from the one with twice its own step is called the floor, and it is
+refined until that is a tenth of the error. Of a smooth motion the finer one is off by a third of the floor.
+Where cloth touches something every integrator is backward Euler, two runs are a sixteenth of its error apart
+at last, and the finer one is off by about as much; where cloth lands, that is uneven, and twice as much was
+seen. An error that is not ten times the floor even then is only known as at least what it exceeds the floor
+by.
 
 The error is local: that of a single frame, from a state that is taken for right. It is no bound on where many
 frames lead, which `muslin cost` measures.
@@ -26,10 +27,13 @@ from sim.report import StepReport
 from sim.settings import FIELDS, Settings
 from sim.simulation import Simulation, Snapshot
 from sim.studies.cost.measures import distances, size
-from sim.studies.cost.reference import FINER, MARGIN, reference_settings
+from sim.studies.cost.reference import MARGIN, reference_settings
 
 FRAME = 1 / 60
 """Simulated time [s] of a frame; a longer time step is a frame of its own."""
+
+REFINED = (2, 4, 8, 16)
+"""Times that the step of a finer run is shorter."""
 
 ACCELERATION = 1e-2
 """Error of acceleration [m/s²] that a solve of the finer run may leave, a thousandth of the earth's."""
@@ -116,33 +120,45 @@ class Probe:
         """
         begin = time.perf_counter()
         settings = state.ramp.target
-        truth = self.truth(state, settings, max(FRAME, settings.dt))
-        return replace(self.error(state, {}, truth), took=time.perf_counter() - begin)
+        steps = _steps(settings, max(FRAME, settings.dt))
+        reports, end = self._go(state, {}, steps)
+        truth = self.truth(state, settings, steps * settings.dt, end)
+        return replace(self._found(reports, end, truth), took=time.perf_counter() - begin)
 
-    def truth(self, state: Snapshot, settings: Settings, seconds: float) -> Truth:
+    def truth(
+        self, state: Snapshot, settings: Settings, seconds: float, end: np.ndarray | None = None
+    ) -> Truth:
         """Where a frame of about `seconds` [s] leads from a state, with the physics of `settings`.
 
-        The frame has a whole number of steps of settings.dt.
+        The frame has a whole number of steps of settings.dt. Where the `end` (n, 3) [m] is given that some
+        settings lead to, it is only made as fine as is needed to tell their error.
         """
-        steps = max(1, math.ceil(seconds / settings.dt * (1.0 - 1e-9)))
-        fine, _, coarse = reference_settings(settings, settings.dt / FINER)
-        ends = []
-        for chosen, finer in ((fine, FINER), (coarse, FINER // 2)):
+        steps, before, floor = _steps(settings, seconds), None, math.inf
+        for finer in REFINED:
+            chosen = reference_settings(settings, settings.dt / finer)[0]
             tolerance = FIELDS["tolerance"].clamp(ACCELERATION * chosen["dt"] ** 2)
-            self._go(state, {**chosen, "tolerance": tolerance, "threads": 1}, steps * finer)
-            ends.append(self._world.positions.copy())
-        return Truth(ends[0], steps * settings.dt, self._apart(*ends))
+            _, now = self._go(state, {**chosen, "tolerance": tolerance, "threads": 1}, steps * finer)
+            if before is not None:
+                floor = self._apart(now, before)
+            if end is not None and MARGIN * floor <= max(self._apart(end, now), ROUNDING):
+                break
+            before = now
+        return Truth(now, steps * settings.dt, floor)
 
     def error(self, state: Snapshot, changes: dict[str, Any], truth: Truth) -> LocalError:
         """How far from the truth the settings lead that hold at a state, with these `changes`."""
         dt = changes.get("dt", state.ramp.target.dt)
-        reports = self._go(state, changes, round(truth.seconds / dt))
-        error = self._apart(self._world.positions, truth.positions)
+        return self._found(*self._go(state, changes, round(truth.seconds / dt)), truth)
+
+    def _found(self, reports: list[StepReport], end: np.ndarray, truth: Truth) -> LocalError:
+        error = self._apart(end, truth.positions)
         inside = max(report.penetrations for report in reports)
         return LocalError(error, truth.floor, truth.seconds, sum(map(self._cost, reports)), inside)
 
-    def _go(self, state: Snapshot, changes: dict[str, Any], steps: int) -> list[StepReport]:
-        """Step from a state with changed settings."""
+    def _go(
+        self, state: Snapshot, changes: dict[str, Any], steps: int
+    ) -> tuple[list[StepReport], np.ndarray]:
+        """Step from a state with changed settings; gives the reports and where that ends."""
         self._world.restore(state)
         if changes:
             self._world.update(**changes)
@@ -150,7 +166,12 @@ class Probe:
         for _ in range(steps):
             self._between()
             reports.append(self._world.step())
-        return reports
+        return reports, self._world.positions.copy()
 
     def _apart(self, one: np.ndarray, other: np.ndarray) -> float:
         return float(distances(one[None], other[None], self._world.masses, self._length)[0])
+
+
+def _steps(settings: Settings, seconds: float) -> int:
+    """Steps of settings.dt that take at least so long."""
+    return max(1, math.ceil(seconds / settings.dt * (1.0 - 1e-9)))

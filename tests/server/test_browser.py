@@ -161,7 +161,35 @@ def test_plots_hold_live_data(page):
     points = (
         "() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(plot => plot.chart.data[0].length)"
     )
-    wait_until(lambda: len(page.evaluate(points)) == 3 and min(page.evaluate(points)) > 2, seconds=120)
+    wait_until(lambda: len(page.evaluate(points)) == 2 and min(page.evaluate(points)) > 2, seconds=120)
+    page.get_by_role("tab", name="Energy").click()
+    wait_until(lambda: len(page.evaluate(points)) == 1 and min(page.evaluate(points)) > 2, seconds=120)
+    page.get_by_text("residual").wait_for()
+    page.get_by_role("tab", name="Cost").click()
+
+
+POINT = """i => {
+    const point = document.querySelector(`svg.tradeoff circle.variant${i}`);
+    const filled = point && point.getAttribute('fill') != '#ffffff';
+    return filled ? [Number(point.getAttribute('cx')), Number(point.getAttribute('cy'))] : null;
+}"""
+"""Where a variant's point is in the chart of error against cost, once it is up to date."""
+
+
+def test_point_of_error_against_cost_moves_when_a_slider_does(lab, page):
+    wait_until(lambda: all(page.evaluate(POINT, i) for i in range(2)), seconds=240)
+    before = [page.evaluate(POINT, i) for i in range(2)]
+    box = row(page, "time step").locator("input.mantine-TextInput-input")
+    page.get_by_role("tab", name="Solver").click()
+    box.fill("0.004")
+    wait_until(lambda: settings(lab, "dt") == [0.004, 0.004], seconds=60)
+    wait_until(lambda: not page.evaluate(POINT, 0), seconds=60)  # hollow: out of date
+    wait_until(lambda: all(page.evaluate(POINT, i) for i in range(2)), seconds=240)
+    for i in range(2):
+        assert page.evaluate(POINT, i)[1] > before[i][1] + 5, "lower: a shorter step is less wrong"
+    box.fill("0.0166667")
+    wait_until(lambda: settings(lab, "dt") == [0.0166667, 0.0166667], seconds=60)
+    page.get_by_role("tab", name="Cloth").click()
 
 
 def test_another_setting_is_compared(lab, page):
@@ -202,6 +230,7 @@ def test_chain_is_seen_without_a_triangle_and_without_an_error(page):
     lab.post(lab.pause)
     lab.post(lab.reset)
     wait_until(lambda: chain_page.evaluate(ORANGE) > 20, seconds=120)
+    chain_page.get_by_role("tab", name="Energy").click()
     chain_page.get_by_text("momentum, SI").wait_for()
     assert chain_page.errors == []
     chain_page.close()
