@@ -51,7 +51,7 @@ class BudgetTab:
         panel.act(self._find, (FIND,), lambda _: lab.find_settings(**self.asked()))
 
     def asked(self) -> dict[str, float]:
-        """The budget, as `sim.budget.choose` takes it."""
+        """The budget, as `sim.budget.choose_settings` takes it."""
         most = float(self._most.value)
         if not math.isfinite(most) or most <= 0.0:
             return {}

@@ -216,7 +216,7 @@ class Lab:
             self._prober.changed(index)
 
     def find_settings(self, **budget: float) -> None:
-        """Find settings that meet a budget, as `sim.budget.choose` takes it, and set them.
+        """Find settings that meet a budget, as `sim.budget.choose_settings` takes it, and set them.
 
         Time stands still meanwhile, so that nothing disturbs what is timed.
         """
@@ -226,10 +226,10 @@ class Lab:
             return
 
         def work(probe: Any, state: Any) -> Any:
-            from sim.budget import choose
+            from sim.budget import choose_settings
 
             told = lambda part: self.post(tab.say, f"measuring … {part:.0%}")  # noqa: E731
-            return choose(probe, state, fixed=fixed, told=told, **budget)
+            return choose_settings(probe, state, fixed=fixed, told=told, **budget)
 
         def take(choice: Any) -> None:
             if playing:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SHARE = 0.04
-"""Of the lanes' stepping time that probes may take: below the 5 % that all live read-outs may."""
+SHARE = 0.025
+"""Of the lanes' stepping time that regular probes may take: with the ledger's share, some 5 %."""
 
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""

@@ -81,7 +81,7 @@ def candidates(settings: Settings, fixed: tuple[str, ...] = ()) -> list[dict[str
     return found
 
 
-def choose(
+def choose_settings(
     probe: Probe,
     state: Snapshot,
     *,
@@ -121,14 +121,13 @@ def choose(
         tried.append(Tried(changes, min(runs, key=lambda run: run.ms)))
     present = tried[0].found
     fit = [t for t in tried if t.found.inside <= present.inside]
-    best = front([_frame(t) for t in fit], [t.found.error for t in fit], truth.floor)
-    kept = [t for t, on in zip(fit, best, strict=True) if on]
-    if ms is not None:
-        within = [t for t in kept if _frame(t) <= ms]
-        chosen = min(within or kept, key=(lambda t: t.found.error) if within else _frame)
+    if ms is not None:  # errors that differ by no more than the floor are alike
+        on = front([_frame(t) for t in fit], [t.found.error for t in fit], truth.floor)
+        within = [t for t, best in zip(fit, on, strict=True) if best and _frame(t) <= ms]
+        chosen = min(within, key=_error) if within else min(fit, key=_frame)
     else:
-        within = [t for t in kept if t.found.error <= error]
-        chosen = min(within or kept, key=_frame if within else (lambda t: t.found.error))
+        within = [t for t in fit if _error(t) <= (error or 0.0)]
+        chosen = min(within, key=_frame) if within else min(fit, key=_error)
     met = bool(within)
     words = _met(settings, chosen, present) if met else _missed(settings, chosen, ms, error)
     return Choice(chosen.changes if met else {}, met, words, present, chosen.found, tried)
@@ -137,6 +136,10 @@ def choose(
 def _frame(tried: Tried) -> float:
     """Milliseconds per 1/60 s."""
     return tried.found.ms * FRAME / tried.found.seconds
+
+
+def _error(tried: Tried) -> float:
+    return tried.found.error
 
 
 def _costs(found: LocalError) -> str:

@@ -6,7 +6,8 @@ state, from forces that are evaluated anew at its stages: S of springs and gravi
 N and F of contacts, normal and friction; L, the force that a solve took for granted, less what it turned out
 to be.
 
-- damping: Σ b q̇² at the stages, with the integrator's weights: never negative.
+- damping: Σ b q̇² at the stages, with the integrator's weights: never negative. The factor b is that of the
+  last linearisation, as the step felt it.
 - friction, contact: −v̄·F and −v̄·N, with what `rub` and `keep_apart` gave after the solve, and without the
   share of obstacles, which put in (impulse)·(their velocity). An inelastic impact loses ½ m v² so. In a step
   in which the slip turns about, friction may come out a little below zero.
@@ -36,7 +37,7 @@ from sim.contact.contacts import Contacts, along
 from sim.contact.friction import rub
 from sim.contact.response import project
 from sim.contact.zones import keep_apart
-from sim.solve.implicit import Solution, damping_along
+from sim.solve.implicit import Felt, Solution
 
 if TYPE_CHECKING:
     from sim.contact.gap import GapSprings
@@ -129,7 +130,7 @@ class Tally:
 
     def state(self, x: np.ndarray, v: np.ndarray) -> State:
         """Positions and velocities (n, 3) with nothing integrated."""
-        return self._below(x, 0.0), self._below(v, 0.0)
+        return self._below(x), self._below(v)
 
     def earlier(self, x: np.ndarray, v: np.ndarray, now: np.ndarray) -> State:
         """The same one step earlier; where no books were kept then, S alone made the velocities `now`."""
@@ -138,46 +139,48 @@ class Tally:
         if rows is None:
             rows = np.zeros((4 * n + 2, 3))
             rows[:n] = self._model.masses[:, None] * (now - v)
-        return self._below(x, 0.0), np.concatenate([v, -rows])
+        return self._below(x), np.concatenate([v, -rows])
 
-    def _below(self, array: np.ndarray, value: float) -> np.ndarray:
-        return np.concatenate([array, np.full((4 * len(array) + 2, 3), value)])
+    @staticmethod
+    def _below(array: np.ndarray) -> np.ndarray:
+        whole = np.zeros((5 * len(array) + 2, 3))
+        whole[: len(array)] = array
+        return whole
 
     def after(self, stage: Solution, v_hat: np.ndarray, h: float) -> State:
         """The end of a stage of backward Euler over `h` [s] from velocities and rows `v_hat`."""
-        n, x, v = len(stage.positions), stage.positions, stage.velocities
-        felt = stage.felt
+        felt, n = stage.felt, len(stage.positions)
         assert felt is not None
-        rates = self._rates(x, v, felt.normal, felt.friction, felt.carried)
+        rates = self._rates(stage.positions, stage.velocities, felt, anew=False)
         rates[n : 2 * n] = felt.impulse / h - rates[:n] - felt.normal - felt.friction
-        return self._below(x, 0.0), np.concatenate([v, v_hat[n:] + h * rates])
+        end = np.concatenate([stage.velocities, v_hat[n:]])
+        end[n:] += h * rates
+        return self._below(stage.positions), end
 
     def rates(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Accelerations (n, 3) [m/s²] of an explicit stage, and the rows' rates below them."""
-        normal, friction, carried = self._contacts.shares(x, v, pull=False)
-        rates = self._rates(x, v, normal, friction, carried)
-        n = len(x)
-        return np.concatenate([self._model.inverse_masses[:, None] * (rates[:n] + normal), rates])
+        felt, n = Felt(np.zeros(0), *self._contacts.shares(x, v, pull=False)), len(x)
+        rates = self._rates(x, v, felt, anew=True)
+        return np.concatenate([self._model.inverse_masses[:, None] * (rates[:n] + felt.normal), rates])
 
-    def _rates(self, x, v, normal, friction, carried) -> np.ndarray:
+    def _rates(self, x: np.ndarray, v: np.ndarray, felt: Felt, anew: bool) -> np.ndarray:
         n = len(x)
         rates = np.zeros((4 * n + 2, 3))
-        rates[:n] = self._model.forces(x, v)
-        rates[2 * n : 3 * n], rates[3 * n : 4 * n] = normal, friction
-        rates[4 * n, 0], rates[4 * n, 1] = self._powers(v)
-        rates[4 * n + 1, :2] = carried
+        rates[:n] = self._model.forces(x, v, anew)
+        rates[2 * n : 3 * n], rates[3 * n : 4 * n] = felt.normal, felt.friction
+        rates[4 * n, :2], rates[4 * n + 1, :2] = self._powers(v), felt.carried
         return rates
 
     def _powers(self, v: np.ndarray) -> tuple[float, float]:
         """What damping takes [W], and what springs that are wrong on purpose give; after `forces`."""
-        still, damping, wrong = np.zeros_like(v), 0.0, 0.0
+        damping = wrong = 0.0
         for springs in self._model.springs:
             e = springs.elements
-            damped = float(damping_along(e, v, still)[0])
+            viscous = e.tension - e.stiffness * (e.q - e.rest)  # b q̇
+            damped = float(viscous @ np.divide(viscous, e.damping, where=e.damping > 0.0, out=0.0 * viscous))
             damping += damped
             if springs.kind.wrong:
-                rate = np.einsum("eki,eki->e", e.gradient, v[e.nodes])
-                wrong -= float(e.tension @ rate) - damped
+                wrong -= float(e.tension @ np.einsum("eki,eki->e", e.gradient, v[e.nodes])) - damped
         return damping, wrong
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import sim
 from sim.probe import FRAME, Probe
-from tests.worlds import chain, scene
+from tests.worlds import ball, chain, grid, scene
 
 G = 9.81
 
@@ -51,24 +51,35 @@ def test_a_more_accurate_integrator_has_a_smaller_error_at_the_same_state():
     assert second.error < 0.2 * first.error
 
 
+def landing(**settings):
+    """A sheet that has begun to lie on a ball."""
+    sheet = grid((0.6, 0.6), (13, 13), position=[0.0, 0.0, 0.22])
+    about = {"gravity": [0, 0, -G], "newton": 2, "self_collision": "auto", **settings}
+    world = sim.Simulation(scene(sheet, ball(radius=0.2), **about))
+    while world.time < 0.15:
+        report = world.step()
+    assert report.contacts > 0
+    return world
+
+
 TOUCHING = [
-    ("drape", {"altitudes": "shortest"}, {"stretch": 90.0, "rest_angle": 0.3}),
-    ("spin", {"integrator": "bdf2", "newton": 2}, {"gamma": 0.5}),
-    ("stack", {"contact": "penalty", "altitudes": "all"}, {"dt": 1 / 90}),
+    ({"altitudes": "shortest"}, {"stretch": 90.0, "rest_angle": 0.3}),
+    ({"integrator": "bdf2", "altitudes": "all"}, {"gamma": 0.5}),
+    ({"contact": "penalty", "newton": 1}, {"dt": 1 / 90}),
 ]
 
 
-@pytest.mark.parametrize(("name", "settings", "changes"), TOUCHING)
-def test_a_probe_leaves_the_state_untouched_to_the_bit(name, settings, changes):
+@pytest.mark.parametrize(("settings", "changes"), TOUCHING)
+def test_a_probe_leaves_the_state_untouched_to_the_bit(settings, changes):
     """Contacts, springs that choose, memory, settings on their way: a probe every fourth step."""
-    alone, probed = sim.Simulation(name, **settings), sim.Simulation(name, **settings)
+    alone, probed = landing(**settings), landing(**settings)
     probed.keep_ledger()
     probe = probe_of(probed)
-    for k in range(40):
-        if k == 30:
+    for k in range(16):
+        if k == 6:
             alone.update(**changes)
             probed.update(**changes)
-        if k >= 24 and k % 4 == 0:
+        if k % 4 == 0:
             before = probed.ledger
             probe.measure(probed.snapshot())
             assert probed.ledger == before
@@ -79,20 +90,20 @@ def test_a_probe_leaves_the_state_untouched_to_the_bit(name, settings, changes):
     assert alone.settings == probed.settings
 
 
+UNEVEN = 2.0
+"""Contacts come and go at other moments in each run: a finer run may be off by so many times the floor."""
+
+
 def test_the_floor_says_how_far_the_finer_run_may_be_off():
     """Where cloth lands, against a run eight times finer still, which is off by an eighth as much."""
-    uneven = 2.0  # contacts come and go at other moments in each run
-    world = sim.Simulation("drape")
-    for _ in range(30):
-        assert world.step() is not None
-    assert world.step().contacts > 0
+    world = landing()
     probe, state = probe_of(world), world.snapshot()
     truth = probe.truth(state, world.settings, FRAME)
     world.update(integrator="sdirk2", dt=FRAME / 128, newton=4, tolerance=1e-9)
     for _ in range(128):
         world.step()
     away = probe._apart(truth.positions, world.positions)
-    assert 0.0 < away <= uneven * truth.floor
+    assert 0.0 < away <= UNEVEN * truth.floor
     assert probe.error(state, {}, truth).error > 2.0 * away
 
 
