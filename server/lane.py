@@ -231,6 +231,7 @@ class Lane(threading.Thread):
         if world is None:
             self.frame = Frame(refused=self._refused)
             return
+        ledger = getattr(world, "ledger", None)
         self.frame = Frame(
             positions=world.positions.astype(np.float32),
             poses=world.obstacle_poses(),
@@ -238,8 +239,8 @@ class Lane(threading.Thread):
             steps=len(self._spent),
             ms=mean_ms(self._spent),
             report=self._report,
-            energy=dict(world.energy()),
-            ledger=getattr(world, "ledger", None),
+            energy=dict(ledger.energy if ledger else world.energy()),
+            ledger=ledger,
             momentum=world.momentum(),
             settings=world.settings,
             refused=self._refused,

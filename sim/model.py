@@ -149,7 +149,7 @@ class Model:
         return group, masses
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray, anew: bool = True) -> np.ndarray:
-        """(n, 3) elastic, damping and gravity forces [N]; with b `anew`, or that of the last linearisation."""
+        """(n, 3) elastic, damping and gravity forces [N]; b `anew`, or that of the last linearisation."""
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
         for springs, gather in zip(self.springs, self._gathers, strict=True):

@@ -120,8 +120,7 @@ class GapSprings(NamedTuple):
         slip = passing - along(n, passing)[:, None] * n
         each = push[:, None] * n, -self.drag[:, None] * slip
         for forces, force in zip((normal, friction), each, strict=True):
-            shares = self.contacts.weight[:, :, None] * force[:, None]
-            np.add.at(forces, self.contacts.node.ravel(), shares.reshape(-1, 3))
+            spread(self.contacts, force, forces)
         pushed, rubbed = (float(np.sum(force * self.contacts.speed)) for force in each)
         return normal, friction, (pushed, rubbed)
 
@@ -205,6 +204,16 @@ def gap_springs(
     force = np.maximum(pressed / h, mass * np.maximum(lack, 0.0) / h**2)
     drag = settings.friction * force / np.maximum(np.maximum(sliding, slip), CREEP)
     return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag, np.zeros((3, len(drag))))
+
+
+@kernel
+def spread(contacts, each, forces):
+    """Add to `forces` (n, 3) what each contact's vertices get of its force, `each` (c, 3)."""
+    for c in range(len(each)):
+        for a in range(4):
+            i, w = contacts.node[c, a], contacts.weight[c, a]
+            for r in range(3):
+                forces[i, r] += w * each[c, r]
 
 
 @kernel
