@@ -135,17 +135,20 @@ class Probe:
         The frame has a whole number of steps of settings.dt. Where the `end` (n, 3) [m] is given that some
         settings lead to, it is only made as fine as is needed to tell their error.
         """
-        steps, before, floor = _steps(settings, seconds), None, math.inf
-        for finer in REFINED:
-            chosen = reference_settings(settings, settings.dt / finer)[0]
-            tolerance = FIELDS["tolerance"].clamp(ACCELERATION * chosen["dt"] ** 2)
-            _, now = self._go(state, {**chosen, "tolerance": tolerance, "threads": 1}, steps * finer)
-            if before is not None:
-                floor = self._apart(now, before)
+        steps, floor = _steps(settings, seconds), math.inf
+        now = self._finer(state, settings, REFINED[0], steps)
+        for finer in REFINED[1:]:
+            before, now = now, self._finer(state, settings, finer, steps)
+            floor = self._apart(now, before)
             if end is not None and MARGIN * floor <= max(self._apart(end, now), ROUNDING):
                 break
-            before = now
         return Truth(now, steps * settings.dt, floor)
+
+    def _finer(self, state: Snapshot, settings: Settings, finer: int, steps: int) -> np.ndarray:
+        """Where so many `steps` lead that are made in as many as `finer` parts each."""
+        chosen = reference_settings(settings, settings.dt / finer)[0]
+        tolerance = FIELDS["tolerance"].clamp(ACCELERATION * chosen["dt"] ** 2)
+        return self._go(state, {**chosen, "tolerance": tolerance, "threads": 1}, steps * finer)[1]
 
     def error(self, state: Snapshot, changes: dict[str, Any], truth: Truth) -> LocalError:
         """How far from the truth the settings lead that hold at a state, with these `changes`."""
