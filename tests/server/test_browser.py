@@ -164,7 +164,7 @@ def test_plots_hold_live_data(page):
     wait_until(lambda: len(page.evaluate(points)) == 2 and min(page.evaluate(points)) > 2, seconds=120)
     page.get_by_role("tab", name="Energy").click()
     page.get_by_text("residual").wait_for()
-    page.locator(".uplot canvas").first.wait_for()
+    wait_until(lambda: len(page.evaluate(points)) == 3 and min(page.evaluate(points)) > 2, seconds=120)
     page.get_by_role("tab", name="Cost").click()
 
 
