@@ -103,9 +103,10 @@ class Lab:
         self._stopping.set()
         self._compiler.stop()
         self._ringdown.stop()
-        self.post(self._prober.stop)
+        self.post(lambda: None)
         if self._thread.is_alive():
             self._thread.join(timeout=5)
+        self._prober.stop()
         self._bench.stop()
         self._page.stop()
 
