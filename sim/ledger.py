@@ -227,10 +227,10 @@ class Part:
             keep_apart(contacts, targets, masses, inverse, h, x, v, given, report)
         self._carried["contact"] += float((given - before) @ along(contacts.normal, contacts.speed))
 
-    def rub(self, contacts: Contacts, friction, masses, inverse, h, x, v, impulses, drag) -> None:
+    def rub(self, contacts: Contacts, masses, inverse, h, x, v, allowed) -> None:
         """As `sim.contact.friction.rub`."""
         with self._giving("friction", v):
-            carried = rub(contacts, friction, masses, inverse, h, x, v, impulses, drag)
+            carried = rub(contacts, masses, inverse, h, x, v, allowed)
         self._carried["friction"] += carried
 
     def project(self, contacts: Contacts, friction, masses, inverse, x, v) -> None:

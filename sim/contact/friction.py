@@ -3,7 +3,8 @@
 The implicit solve must feel friction, or cloth would never hang on what holds it. It feels the drag d = μ λ
 / slip with the normal force λ and the slip that are expected; where that turns out to hold two sides together
 by more than the cone allows, both are estimated anew and the solve goes on from where it was. A drag never
-adds energy, whatever its size. What the cone still allows after the solve slows each contact by itself.
+adds energy, whatever its size. After the solve slow contacts are stopped, each by itself, so far as the cone
+still allows, and impulses given after it bring friction of their own.
 """
 
 import numpy as np
@@ -11,25 +12,40 @@ import numpy as np
 from sim.compiled import Vec3, add, dot, inner, kernel, norm, row, scale, sub
 
 CREEP = 1e-4
-"""Smallest slip [m/s] that a drag is estimated with; what creeps no faster is stopped after the solve."""
+"""Smallest slip [m/s] that a drag is estimated with."""
+
+SLOW = 5e-3
+"""What slides no faster [m/s] is stopped after the solve, so far as its cone allows. To stop what is faster
+one vertex at a time would strain the springs between them."""
+
+STEADY = 0.7
+"""Part of its slip that a sliding contact is expected to keep in a step at least: more would often be too much."""
 
 EXCESS = 1.001
 """Friction this many times what the cone allows is worth another solve."""
 
+LACKING = 0.1
+"""Part of the friction of all that slides that a solve may leave out, where it estimated slips too large."""
+
 
 @kernel
 def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes, friction, h, drag):
-    """Fill the `drag` to expect after a solve that ended at `velocities`; return the worst excess.
+    """Fill the `drag` to expect after a solve that ended at `velocities`.
+
+    Returns the worst excess, and the part of what the cones allow that sliding contacts were not given.
 
     The slip expected is that of the solve, or more where a whole piece is about to break away: the piece then
     gains what friction held it by beyond the cones, over its mass.
     """
-    worst = 0.0
+    worst, lacking, allowed = 0.0, 0.0, 1e-300
     gain = np.zeros((len(piece_masses), 3))
     for c in range(len(drag)):
         slip = slip_of(contacts, velocities, c)
         found = norm(slip)
         held = h * held_drag[c] * found
+        allowed += friction * pushes[c]
+        if found > CREEP:
+            lacking += max(friction * pushes[c] - held, 0.0)
         if held > friction * pushes[c] or found > CREEP:
             worst = max(worst, held / max(friction * pushes[c], 1e-300))
             for a in range(4):
@@ -44,7 +60,7 @@ def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes,
         for a in range(4):
             ahead = add(ahead, scale(contacts.weight[c, a], row(gain, pieces[contacts.node[c, a]])))
         drag[c] = friction * pushes[c] / h / max(norm(slip), norm(ahead), CREEP)
-    return worst
+    return worst, lacking / allowed
 
 
 @inner
@@ -67,19 +83,18 @@ def slip_of(contacts, velocities, c):
 
 
 @kernel
-def rub(contacts, friction, masses, inverse_masses, h, positions, velocities, impulses, drag):
-    """Slow each sliding contact by what the cone of `impulses` (c,) [N s] leaves over the solve's `drag`.
+def rub(contacts, masses, inverse_masses, h, positions, velocities, allowed):
+    """Slow each sliding contact by an impulse across its normal of no more than is `allowed` (c,) [N s].
 
     `masses` (c,) are those that the contacts move, infinite where they move nothing. Returns the work [J] of
     these impulses that the motion of the contacts' other sides puts in.
     """
     carried = 0.0
-    for c in range(len(impulses)):
+    for c in range(len(allowed)):
         slip = slip_of(contacts, velocities, c)
         speed = norm(slip)
-        over = friction * impulses[c] - h * drag[c] * speed
-        if speed > 0.0 and over > 0.0 and masses[c] < np.inf:
-            shove = scale(-min(over / speed, masses[c]), slip)
+        if speed > 0.0 and allowed[c] > 0.0 and masses[c] < np.inf:
+            shove = scale(-min(allowed[c] / speed, masses[c]), slip)
             give(contacts, c, inverse_masses, shove, h, positions, velocities)
             carried += dot(shove, row(contacts.speed, c))
     return carried

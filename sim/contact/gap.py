@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.compiled import inner, kernel
 from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps, weighted
-from sim.contact.friction import CREEP, EXCESS, expected_drag, slip_of
+from sim.contact.friction import CREEP, EXCESS, LACKING, STEADY, expected_drag, slip_of
 from sim.contact.response import Response, lacks, targets
 from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
 from sim.settings import Settings
@@ -63,15 +63,16 @@ class GapSprings(NamedTuple):
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.
 
-        Returns whether some contact is held by more than its cone allows, with the model's matrix and
-        `forces` changed to the new drag, so that the solve should go on.
+        Returns whether contacts are held by more than their cones allow, or by much less, with the model's
+        matrix and `forces` changed to the new drag, so that the solve should go on.
         """
         if not len(self.drag):
             return False
         drag, pushes = np.zeros_like(self.drag), self.pushes(positions, velocities, h)
         pieces = model.mesh.pieces, model.piece_masses
         found = velocities, pushes, friction, h, drag
-        if expected_drag(self.contacts, self.drag, *pieces, *found) <= EXCESS:
+        excess, lacking = expected_drag(self.contacts, self.drag, *pieces, *found)
+        if excess <= EXCESS and lacking <= LACKING:
             return False
         add_drag(self.contacts, self.elements, drag - self.drag, start, h, model.matrix.diagonal, forces)
         self.drag[:] = drag
@@ -195,14 +196,18 @@ def gap_springs(
     elements.gradient[:] = contacts.weight[:, :, None] * contacts.normal[:, None]
     elements.stiffness[:] = response.stiffness * mass / h**2
     elements.rest[:] = targets(response, contacts, h)
+    if response.carries:
+        elements.rest[:] += pressed / elements.stiffness
     elements.drift[:] = along(contacts.normal, contacts.speed)
     passing = contacts.passing(velocities)
     closing = along(contacts.normal, passing)
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
     elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
     sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
-    force = np.maximum(pressed / h, mass * np.maximum(lack, 0.0) / h**2)
-    drag = settings.friction * force / np.maximum(np.maximum(sliding, slip), CREEP)
+    force = np.maximum(pressed, mass * np.maximum(lack, 0.0) / h**2)
+    fast = np.maximum(sliding, slip)
+    slowed = np.maximum(fast - settings.friction * force * h / mass, STEADY * fast)
+    drag = settings.friction * force / np.maximum(slowed, CREEP)
     return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag, np.zeros((3, len(drag))))
 
 

@@ -21,6 +21,9 @@ from sim.mesh import Mesh
 THICK = 0.4
 """Part of a typical edge that cloth may be thick, so that a flat sheet does not touch itself."""
 
+FELT = 1.25
+"""Times the thickness within which a pair is a contact: what pressed must not be forgotten as it is let go."""
+
 GAP = 0.1
 """Part of the thickness that continuous detection keeps free on the way."""
 
@@ -77,7 +80,7 @@ class Pairs:
     def begin(
         self, x: np.ndarray, before: np.ndarray, after: np.ndarray, h: float, thickness: float
     ) -> Contacts:
-        """Begin a step of h [s] and find the pairs that are nearer than the thickness.
+        """Begin a step of h [s] and find the pairs that are hardly farther than the thickness.
 
         Args:
             x: (n, 3) where the cloth's vertices are [m].
@@ -88,12 +91,13 @@ class Pairs:
         """
         self._start, self._after, self._h = np.concatenate([x, before]), after, h
         self.thickness = min(thickness, THICK * self.edge)
+        self._reach = FELT * self.thickness
         known = self._list
-        if known is None or known.reach != self.thickness or not known.hold_at(self._start):
+        if known is None or known.reach != self._reach or not known.hold_at(self._start):
             known = self._renew(self._start)
         pairs, weight = known, self._measure(known)
         distance = self._distance
-        close = np.flatnonzero((distance < self.thickness) & (distance > 0.0))
+        close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
         close = close[~self._near_at_rest(pairs, close)]
         normal = np.einsum("ij,ijk->ik", weight[close], self._start[pairs.node[close]])
         normal /= distance[close, None]
@@ -133,14 +137,14 @@ class Pairs:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""
         quiet = np.abs(end - self._start).max() < QUIET * self.edge
         skin = (QUIET_SKIN if quiet else SKIN) * self.edge
-        self._list = self._broad.candidates(self._start, end, skin, self.thickness)
+        self._list = self._broad.candidates(self._start, end, skin, self._reach)
         return self._list
 
     def _measure(self, pairs: Candidates) -> np.ndarray:
         """Set `_distance` of the pairs at the start; returns the weights of those that are near."""
         self._distance, weight = np.empty(len(pairs.kind)), np.empty((len(pairs.kind), 4))
         about = pairs.kind, pairs.node, pairs.distance, pairs.start
-        measure(*about, self._start, self.thickness, self._distance, weight)
+        measure(*about, self._start, self._reach, self._distance, weight)
         return weight
 
     def _near_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from msgspec.structs import replace as replaced
 from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.faces import Faces
+from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
 from sim.contact.pairs import Pairs
@@ -224,7 +225,7 @@ class Pipeline:
         response = RESPONSES.get(settings.contact)
         if response is None or INTEGRATORS[settings.integrator].implicit or not response.solved:
             return response
-        return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), solved=False)
+        return replace(response, stiffness=1.0, damping=min(response.damping, 0.5), carries=False, solved=False)
 
     def _begin(self, way: _Way, pairs: Pairs | None) -> Contacts:
         """Pairs, and faces and obstacles, that are nearer than they should be at the start."""
@@ -310,15 +311,18 @@ class Pipeline:
             pressed = springs.pushes(x, v, h)
         else:  # it pushed as it did at the start
             pressed = h * np.maximum(-springs.elements.tension, 0.0)
-        felt = touch(springs.contacts.key, pressed, springs.drag)
-        slip = touch(springs.contacts.key, pressed, springs.slip(v))
-        impulses, drag = felt.of(contacts.key)
+        slip = springs.slip(v)
+        felt = touch(springs.contacts.key, pressed, slip)
+        left = np.where(slip <= SLOW, s.friction * pressed - h * springs.drag * slip, 0.0)
+        crept = touch(springs.contacts.key, np.maximum(left, 0.0), slip)
+        impulses = felt.of(contacts.key)[0]
         masses, given = contacts.masses(inverse_masses), np.zeros(len(impulses))
         wanted = targets(response, contacts, h)
         push = masses, inverse_masses, h, x, v
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
-        way.part.rub(contacts, s.friction, *push, impulses + given, drag)
+        allowed = s.friction * (given if response.solved else impulses + given) + crept.of(contacts.key)[0]
+        way.part.rub(contacts, *push, allowed)
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
         if not (response.impulses and s.detection == "continuous" and np.isfinite(x).all()):
@@ -331,7 +335,7 @@ class Pipeline:
         watched = response.impulses and response.solved and not last
         if watched and self._erupts(way, contacts, pressed, solution):
             return None
-        return solution, touch(contacts.key, pressed, slip.of(contacts.key)[1])
+        return solution, touch(contacts.key, pressed / h, felt.of(contacts.key)[1])
 
     def _erupts(self, way: _Way, contacts: Contacts, pressed: np.ndarray, solution: Solution) -> bool:
         """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
@@ -389,8 +393,7 @@ class Pipeline:
             masses = contacts.masses(inverse_masses)
             push = masses, inverse_masses, h, x, v
             way.part.keep_apart(contacts, targets(response, contacts, h), *push, given, report)
-            pressed = np.maximum(given - before, 0.0)
-            way.part.rub(contacts, s.friction, *push, pressed, np.zeros_like(given))
+            way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
         if not last:
             return None
         self._hold_back(pairs, way, x)

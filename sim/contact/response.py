@@ -31,6 +31,7 @@ class Response:
         damping: Damping ratio of a gap spring while the gap closes.
         recovery: Part of an overlap that one step aims to take back.
         impulses: Whether impulses end the step.
+        carries: Whether gap springs begin with the force that contacts pressed with in the step before.
         solved: Whether a solve feels its gap springs; else they push as they did at the start of the step.
         projects: Whether nothing is felt, and overlaps are taken out of the positions after the step.
     """
@@ -39,13 +40,14 @@ class Response:
     damping: float
     recovery: float
     impulses: bool
+    carries: bool = False
     solved: bool = True
     projects: bool = False
 
 
 RESPONSES = {
     "penalty": Response(10.0, 1.0, 1.0, False),
-    "impulse": Response(100.0, 0.0, 0.1, True),
+    "impulse": Response(100.0, 0.0, 0.1, True, carries=True),
     "postprocess": Response(0.0, 0.0, 1.0, False, solved=False, projects=True),
 }
 
