@@ -114,9 +114,9 @@ class Lane(threading.Thread):
         self._spent: list[Mapping[str, float]] = []
 
     def send(self, command: Advance | Change | Reset | Ask) -> None:
-        """Queue a command; it takes effect between two steps."""
+        """Queue a command; it takes effect between two steps. One that only asks leads to no new frame."""
         with self._count_lock:
-            self._unfinished += 1
+            self._unfinished += not isinstance(command, Ask)
         self._commands.put(command)
 
     def stop(self) -> None:
@@ -149,7 +149,8 @@ class Lane(threading.Thread):
             while self._owed >= self.step_length - ROUNDING and not self._stopping.is_set():
                 self._step()
                 carried_out += self._drain(wait=False)
-            self._finish(carried_out)
+            if carried_out:
+                self._finish(carried_out)
 
     def _finish(self, commands: int) -> None:
         self._doing = ("", 0.0)
@@ -178,7 +179,7 @@ class Lane(threading.Thread):
                 snapshot = getattr(self._world, "snapshot", None)
                 command.reply(snapshot() if snapshot else None)
         self._change(changes)
-        return sum(command is not None for command in commands)
+        return sum(not isinstance(command, Ask | None) for command in commands)
 
     def _start(self, settings: Settings) -> None:
         self._owed = 0.0

@@ -65,10 +65,9 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
 
 def real_time(meter: Meter) -> float | None:
     """Simulated time per time that a variant's steps take: below 1 it cannot keep up by itself."""
-    settings = meter.latest.settings
-    if not meter.ms or settings is None:
+    if not meter.ms or meter.dt is None:
         return None
-    return 1e3 * settings.dt / max(meter.ms["total"], 1e-6)
+    return 1e3 * meter.dt / max(meter.ms["total"], 1e-6)
 
 
 def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:

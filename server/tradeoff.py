@@ -36,10 +36,10 @@ Point = tuple[float, float]
 
 def point(meter: Meter) -> Point | None:
     """Where a variant is now; None while cost or error is not known."""
-    settings, found = meter.latest.settings, meter.reading.found
-    if meter.ms is None or settings is None or found is None:
+    found = meter.reading.found
+    if meter.ms is None or meter.dt is None or found is None:
         return None
-    return meter.ms["total"] / (60.0 * settings.dt), max(found.error, LEAST)
+    return meter.ms["total"] / (60.0 * meter.dt), max(found.error, LEAST)
 
 
 class Tradeoff:

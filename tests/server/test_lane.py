@@ -142,15 +142,16 @@ class Kept(FakeWorld):
 
 def test_state_is_handed_over_between_two_steps_in_the_lanes_thread(start):
     lane, states = start(Kept, dt=0.01), []
-    finish(lane, Advance(0.05))
-    finish(lane, Ask(states.append))
-    assert states == [5]
+    frame = finish(lane, Advance(0.05))
+    lane.send(Ask(states.append))
+    wait_until(lambda: states == [5])
+    assert lane.frame is frame, "which holds what was measured of the steps, and may not have been taken in"
 
 
 def test_simulation_without_a_state_to_hand_over_says_so(start):
     states = []
-    finish(start(), Ask(states.append))
-    assert states == [None]
+    start().send(Ask(states.append))
+    wait_until(lambda: states == [None])
 
 
 def test_lanes_step_in_threads_of_their_own(start):
