@@ -45,6 +45,9 @@ MOST_HALVINGS = 5
 GROWTH = 0.1
 """Part of the kinetic energy by which a step may raise the energy and still be a good one."""
 
+SLACK = 0.2
+"""Part of the thickness that contacts may lack for a step where to push each vertex apart would put energy in."""
+
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
 
@@ -306,23 +309,46 @@ class Pipeline:
         report.contacts = max(len(contacts.key), len(springs.contacts.key))
         if response is None:
             return solution, UNTOUCHED
-        x, v, inverse_masses = solution.positions, solution.velocities, self._model.inverse_masses
         if response.solved:
-            pressed = springs.pushes(x, v, h)
+            pressed = springs.pushes(solution.positions, solution.velocities, h)
         else:  # it pushed as it did at the start
             pressed = h * np.maximum(-springs.elements.tension, 0.0)
-        slip = springs.slip(v)
+        slip = springs.slip(solution.velocities)
         felt = touch(springs.contacts.key, pressed, slip)
         left = np.where(slip <= SLOW, s.friction * pressed - h * springs.drag * slip, 0.0)
         crept = touch(springs.contacts.key, np.maximum(left, 0.0), slip)
+        known = felt, crept.of(contacts.key)[0]
+        found = self._push(response, pairs, way, contacts, *known, solution, last)
+        if found is None and response.impulses and response.solved:
+            thinner = np.where(np.isin(contacts.key, felt.key), 1.0 - SLACK, 1.0)
+            contacts = contacts._replace(thickness=thinner * contacts.thickness)
+            found = self._push(response, pairs, way, contacts, *known, solution, last)
+        return found
+
+    def _push(
+        self,
+        response: Response,
+        pairs: Pairs | None,
+        way: _Way,
+        contacts: Contacts,
+        felt: Touch,
+        crept: np.ndarray,
+        solution: Solution,
+        last: bool,
+    ) -> tuple[Solution, Touch] | None:
+        """Impulses and friction of contacts, of which the solve felt some and left `crept` (c,) [N s] to rub."""
+        s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
+        solution = replace(
+            solution, positions=solution.positions.copy(), velocities=solution.velocities.copy()
+        )
+        x, v = solution.positions, solution.velocities
         impulses = felt.of(contacts.key)[0]
         masses, given = contacts.masses(inverse_masses), np.zeros(len(impulses))
         wanted = targets(response, contacts, h)
         push = masses, inverse_masses, h, x, v
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
-        allowed = s.friction * (given if response.solved else impulses + given) + crept.of(contacts.key)[0]
-        way.part.rub(contacts, *push, allowed)
+        way.part.rub(contacts, *push, s.friction * (given if response.solved else impulses + given) + crept)
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
         if not (response.impulses and s.detection == "continuous" and np.isfinite(x).all()):
