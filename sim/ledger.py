@@ -190,6 +190,9 @@ class Unbooked:
     keep_apart = staticmethod(keep_apart)
     rub = staticmethod(rub)
 
+    def respond_anew(self) -> None:
+        """Nothing is known of an earlier try."""
+
     @staticmethod
     def project(*about: Any) -> None:
         """Put right what a step led into."""
@@ -215,10 +218,14 @@ class Part:
     def __init__(self, model: Model, x: np.ndarray, v: np.ndarray) -> None:
         self._model, self._x, self._v = model, x, v
         self._potential = model.energies(x)
-        self._given = {name: np.zeros_like(x) for name in ("contact", "friction")}
-        self._carried = dict.fromkeys(self._given, 0.0)
         self.flows: Account = {}
         self.turnover = 0.0
+        self.respond_anew()
+
+    def respond_anew(self) -> None:
+        """Forget what an earlier try at a response gave."""
+        self._given = {name: np.zeros_like(self._x) for name in ("contact", "friction")}
+        self._carried = dict.fromkeys(self._given, 0.0)
 
     def keep_apart(self, contacts: Contacts, targets, masses, inverse, h, x, v, given, report) -> None:
         """As `sim.contact.zones.keep_apart`."""

@@ -346,6 +346,7 @@ class Pipeline:
         masses, given = contacts.masses(inverse_masses), np.zeros(len(impulses))
         wanted = targets(response, contacts, h)
         push = masses, inverse_masses, h, x, v
+        way.part.respond_anew()
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
         way.part.rub(contacts, *push, s.friction * (given if response.solved else impulses + given) + crept)
