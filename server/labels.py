@@ -91,8 +91,8 @@ def error_text(reading: Reading) -> str:
 
 
 def measured(meter: Meter) -> str:
-    """Milliseconds per step, local error and vertices inside, as far as they are known."""
+    """Milliseconds per step and local error, and below it vertices inside, as far as they are known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
     inside = UNKNOWN if meter.inside is None else str(meter.inside)
     mark = "▲ " if meter.inside else ""
-    return f"{ms} ms · {error_text(meter.reading)} · {mark}{inside} inside"
+    return f"{ms} ms · {error_text(meter.reading)}\n{mark}{inside} inside"
