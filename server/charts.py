@@ -1,4 +1,4 @@
-"""The right dock: the variants' numbers, milliseconds per step, energies, momentum, effects, damping."""
+"""The right dock: error against cost, the variants' numbers, energies, momentum, effects, damping, budget."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import viser
 
 from server import style
+from server.budget import BudgetTab
 from server.digits import round_above
 from server.meter import Meter
 from server.palette import VARIANTS
 from server.plots import CostPlot, PairPlot
 from server.ringdown import EXPLANATION, Results, damping_table
 from server.tables import NOTHING, caption, effects_table, sums_table, update, variant_table
+from server.tradeoff import Tradeoff
 
 MEASURE = "Measure the damping"
 
@@ -30,10 +32,14 @@ class Charts:
     def __init__(self, server: viser.ViserServer):
         gui = server.gui
         panel = gui.add_panel()
-        with panel.add_tab("Measured"):
+        self._tradeoff = Tradeoff()
+        with panel.add_tab("Cost"):
+            gui.add_html(caption("local error of a frame against its cost"))
+            self._chart = gui.add_html("")
             self._table = gui.add_html("")
             gui.add_html(caption("milliseconds per step, by phase"))
             self._costs = [CostPlot(server, color) for color in VARIANTS]
+        with panel.add_tab("Energy"):
             self._energies = PairPlot(server, "energy", "J", ("total", "kinetic"), NOTHING)
             self._momenta = PairPlot(server, "momentum", "SI", ("|P|", "|L|"), NO_MOMENTUM, visible=False)
             self._sums = gui.add_html("")
@@ -43,6 +49,8 @@ class Charts:
             gui.add_html(caption(EXPLANATION))
             self.measure = gui.add_button_group("ring-down", (MEASURE,))
             self._damping = gui.add_html("")
+        with panel.add_tab("Budget"):
+            self.budget = BudgetTab(gui)
         panel.dock_right()
         panel.set_width(style.RIGHT_WIDTH)
         self._setting, self._names = "", [""]
@@ -57,6 +65,7 @@ class Charts:
 
     def clear(self) -> None:
         """Forget the past."""
+        self._tradeoff.clear(len(self._names))
         for plot in (*self._costs, self._energies, self._momenta):
             plot.clear()
 
@@ -66,6 +75,8 @@ class Charts:
 
     def add(self, time: float, meters: Sequence[Meter], moved: bool) -> None:
         """Write the present numbers; and where time has moved on, a point of every line."""
+        self._tradeoff.add(meters)
+        update(self._chart, f'<div class="muslin">{self._tradeoff.svg(self._names, meters)}</div>')
         update(self._table, variant_table(self._setting, self._names, meters))
         update(self._sums, sums_table(self._names, meters))
         update(self._effects, effects_table(self._names, meters))

@@ -22,6 +22,7 @@ from server.compiler import Compiler, Prepare, compile_kernels
 from server.lane import Frame
 from server.page import READ_EVERY, Page
 from server.palette import MAX_VARIANTS
+from server.prober import Prober
 from server.ringdown import RingDown, measure_damping
 from sim.mesh import build_mesh
 from sim.scene import Scene, SceneError, load_scene, scene_files
@@ -34,7 +35,9 @@ def build_world(scene: Scene, settings: Settings) -> Any:
     """The real simulation of a scene."""
     import sim
 
-    return sim.Simulation(msgspec.structs.replace(scene, settings=settings))
+    world = sim.Simulation(msgspec.structs.replace(scene, settings=settings))
+    world.keep_ledger()
+    return world
 
 
 class Lab:
@@ -72,6 +75,7 @@ class Lab:
         self._bench = Bench(lambda: self._page.watched, on_frame=lambda: self.post(lambda: None))
         self._compiler = Compiler(prepare, self.post, self._show_progress, self.say, self._launch)
         self._ringdown = RingDown(measure, self.post, self._page.charts.show_damping)
+        self._prober = Prober(self.post)
         self._thread = threading.Thread(target=self._run, name="muslin lab", daemon=True)
 
     @property
@@ -102,6 +106,7 @@ class Lab:
         self.post(lambda: None)
         if self._thread.is_alive():
             self._thread.join(timeout=5)
+        self._prober.stop()
         self._bench.stop()
         self._page.stop()
 
@@ -117,7 +122,8 @@ class Lab:
                 self._act()
                 self._bench.collect()
                 self._bench.advance()
-                self._page.publish(self._bench, self._comparison)
+                self._prober.tick(self._bench, self._page.watched)
+                self._page.publish(self._bench, self._comparison, self._prober.readings)
             except Exception:  # a mistake in one part of the page must not stop the clock
                 _log.exception("the page could not do what it was asked")
 
@@ -156,6 +162,8 @@ class Lab:
         """Start again, with the present settings."""
         self._bench.reset(self._comparison)
         self._page.charts.clear()
+        for i in range(self._comparison.count):
+            self._prober.changed(i)
 
     def set_speed(self, speed: float) -> None:
         """Simulated time per wall time."""
@@ -194,6 +202,7 @@ class Lab:
         self._page.panel.show_relevance(self._comparison)
         for i in range(len(self._bench.lanes)):
             self._bench.change(i, name, value, self._comparison.settings(i))
+            self._prober.changed(i)
 
     def set_own(self, index: int, value: Any) -> None:
         """Change the compared setting of one variant."""
@@ -205,6 +214,38 @@ class Lab:
         self._page.name_charts(self._comparison)
         if self._bench.ready:
             self._bench.change(index, self._comparison.by, value, self._comparison.settings(index))
+            self._prober.changed(index)
+
+    def find_settings(self, **budget: float) -> None:
+        """Find settings that meet a budget, as `sim.budget.choose_settings` takes it, and set them.
+
+        Time stands still meanwhile, so that nothing disturbs what is timed.
+        """
+        tab, playing, fixed = self._page.charts.budget, self._bench.playing, (self._comparison.by,)
+        if not self._bench.ready or not budget:
+            tab.say("There is nothing to measure yet." if budget else "Give a number above 0.")
+            return
+
+        def work(probe: Any, state: Any) -> Any:
+            from sim.budget import choose_settings
+
+            told = lambda part: self.post(tab.say, f"measuring … {part:.0%}")  # noqa: E731
+            return choose_settings(probe, state, fixed=fixed, told=told, **budget)
+
+        def take(choice: Any) -> None:
+            if playing:
+                self.play()
+            if isinstance(choice, Exception):
+                tab.say(str(choice) or "A setting was changed meanwhile; ask again.")
+                return
+            tab.say(choice.sentence)
+            for name, value in choice.changes.items():
+                self.set_shared(name, value)
+            self._page.panel.show_comparison(self._comparison)
+
+        self.pause()
+        tab.say("measuring …")
+        self._prober.ask(self._bench, 0, work, take)
 
     def compare_by(self, by: str) -> None:
         """Have the variants differ in another setting; starts again."""
@@ -235,6 +276,7 @@ class Lab:
 
     def _open(self) -> None:
         self._ringdown.stop()
+        self._prober.clear()
         self._bench.clear(self._comparison.count)
         self._page.set_up(self._scene, self._mesh, self._comparison)
         self._wait_for("preparing")
@@ -246,7 +288,9 @@ class Lab:
     def _launch(self) -> None:
         self._wait_for("")
         scene = self._scene
-        self._bench.launch(lambda settings: self._build(scene, settings), self._comparison)
+        build = lambda settings: self._build(scene, settings)  # noqa: E731
+        self._bench.launch(build, self._comparison)
+        self._prober.clear(build, self._comparison.count)
 
     def _wait_for(self, what: str, share: float = 0.0) -> None:
         self._page.wait_for(what, share)

@@ -1,10 +1,12 @@
-"""What is said of each cloth: name, milliseconds per step, vertices inside; or what is wrong with it."""
+"""What is said of each cloth: name, milliseconds per step, local error, vertices inside; or what is wrong."""
 
 from __future__ import annotations
 
 import textwrap
 
+from server.digits import written
 from server.meter import Meter
+from server.prober import Reading
 from server.style import UNKNOWN
 from sim.settings import Settings
 from sim.springs import BENDING
@@ -77,9 +79,20 @@ def label(
     return "\n".join(filter(None, [*lines, *remarks])), alarm
 
 
+def error_text(reading: Reading) -> str:
+    """A local error in percent; where it is not known to a tenth, what it is at least, or at most."""
+    found = reading.found
+    if found is None:
+        return "measuring" if reading.measuring else f"{UNKNOWN} %"
+    sign, error = "", found.error
+    if not found.sure:
+        sign, error = ("≥ ", found.least) if found.least > 0.0 else ("< ", found.most)
+    return f"{sign}{written(100.0 * error, 2)} %"
+
+
 def measured(meter: Meter) -> str:
-    """Milliseconds per step and vertices inside, as far as they are known."""
+    """Milliseconds per step and local error, and below it vertices inside, as far as they are known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
     inside = UNKNOWN if meter.inside is None else str(meter.inside)
     mark = "▲ " if meter.inside else ""
-    return f"{ms} ms · {mark}{inside} inside"
+    return f"{ms} ms · {error_text(meter.reading)}\n{mark}{inside} inside"

@@ -46,6 +46,13 @@ class Reset:
 
 
 @dataclass(frozen=True)
+class Ask:
+    """Command: hand a snapshot of the state to `reply`, in the lane's thread; None where there is none."""
+
+    reply: Callable[[Any], None]
+
+
+@dataclass(frozen=True)
 class Frame:
     """What one variant looks like and cost, at one time. Never changed once made.
 
@@ -57,6 +64,7 @@ class Frame:
         ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
         report: The last step's report, None before the first.
         energy: Energies [J] by kind.
+        ledger: Where energy went, None where no books are kept.
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
         settings: In force when the frame was made.
         refused: Why the last step was refused; empty while all is well.
@@ -70,6 +78,7 @@ class Frame:
     ms: Mapping[str, float] | None = None
     report: Any = None
     energy: Mapping[str, float] = field(default_factory=dict)
+    ledger: Any = None
     momentum: tuple[np.ndarray, np.ndarray] | None = None
     settings: Settings | None = None
     refused: str = ""
@@ -104,10 +113,10 @@ class Lane(threading.Thread):
         self._refused = self._note = ""
         self._spent: list[Mapping[str, float]] = []
 
-    def send(self, command: Advance | Change | Reset) -> None:
-        """Queue a command; it takes effect between two steps."""
+    def send(self, command: Advance | Change | Reset | Ask) -> None:
+        """Queue a command; it takes effect between two steps. One that only asks leads to no new frame."""
         with self._count_lock:
-            self._unfinished += 1
+            self._unfinished += not isinstance(command, Ask)
         self._commands.put(command)
 
     def stop(self) -> None:
@@ -140,7 +149,8 @@ class Lane(threading.Thread):
             while self._owed >= self.step_length - ROUNDING and not self._stopping.is_set():
                 self._step()
                 carried_out += self._drain(wait=False)
-            self._finish(carried_out)
+            if carried_out:
+                self._finish(carried_out)
 
     def _finish(self, commands: int) -> None:
         self._doing = ("", 0.0)
@@ -165,8 +175,11 @@ class Lane(threading.Thread):
                 self._owed += command.seconds
             elif isinstance(command, Reset):
                 self._start(command.settings)
+            elif isinstance(command, Ask):
+                snapshot = getattr(self._world, "snapshot", None)
+                command.reply(snapshot() if snapshot else None)
         self._change(changes)
-        return sum(command is not None for command in commands)
+        return sum(not isinstance(command, Ask | None) for command in commands)
 
     def _start(self, settings: Settings) -> None:
         self._owed = 0.0
@@ -219,6 +232,7 @@ class Lane(threading.Thread):
         if world is None:
             self.frame = Frame(refused=self._refused)
             return
+        ledger = getattr(world, "ledger", None)
         self.frame = Frame(
             positions=world.positions.astype(np.float32),
             poses=world.obstacle_poses(),
@@ -226,7 +240,8 @@ class Lane(threading.Thread):
             steps=len(self._spent),
             ms=mean_ms(self._spent),
             report=self._report,
-            energy=dict(world.energy()),
+            energy=dict(ledger.energy if ledger else world.energy()),
+            ledger=ledger,
             momentum=world.momentum(),
             settings=world.settings,
             refused=self._refused,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from server.lane import Frame, mean_ms
+from server.prober import NO_READING, Reading
 
 
 class Meter:
@@ -14,6 +15,8 @@ class Meter:
         latest: The newest frame.
         ms: Mean milliseconds per step, by phase and "total", over the frames before the last `read`; None
             until a step was measured.
+        dt: The time step [s] that these were made with.
+        reading: What is known of its local error.
         inside: Most vertices inside an obstacle after any of those frames; None until a step was measured.
     """
 
@@ -21,6 +24,8 @@ class Meter:
         self.latest = Frame()
         self.ms: dict[str, float] | None = None
         self.inside: int | None = None
+        self.dt: float | None = None
+        self.reading: Reading = NO_READING
         self._frames: list[Frame] = []
 
     def add(self, frame: Frame) -> None:
@@ -37,6 +42,7 @@ class Meter:
         stepped = [f for f in self._frames if f.steps and f.ms]
         if stepped:
             self.ms = mean_ms([frame.ms for frame in stepped if frame.ms])
+            self.dt = stepped[-1].settings.dt if stepped[-1].settings else None
             self.inside = max(frame.report.penetrations for frame in stepped)
         if self.latest.refused:
             self.ms = self.inside = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from server.labels import label
 from server.lane import Frame
 from server.palette import BRAND
 from server.panel import Panel
+from server.prober import Reading
 from server.stage import Stage
 from server.style import LEFT_WIDTH, RIGHT_WIDTH
 from sim.mesh import Mesh
@@ -54,6 +56,7 @@ class Page:
         self.panel = Panel(self.server, guard, lab, scenes, scene)
         self.charts = Charts(self.server)
         self.panel.act(self.charts.measure, (MEASURE,), lambda _: lab.measure_damping())
+        self.charts.budget.connect(self.panel, guard, lab)
         self.stage = Stage(self.server)
         self._shown: list[Frame] = []
         self._pinned = False
@@ -96,7 +99,7 @@ class Page:
         names = [comparison.short_name(i) for i in range(comparison.count)]
         self.charts.name(FIELDS[comparison.by].label if comparison.by else "", names)
 
-    def publish(self, bench: Bench, comparison: Comparison) -> None:
+    def publish(self, bench: Bench, comparison: Comparison, readings: Sequence[Reading]) -> None:
         """Show what is finished, FRAME apart at least, and numbers less often; nothing if nobody looks."""
         if not self.watched:
             return
@@ -107,6 +110,8 @@ class Page:
             self._shown, self._published = frames, now
         if now >= self._read + READ_EVERY:
             self._read = now
+            for meter, reading in zip(bench.meters, readings, strict=False):
+                meter.reading = reading
             self._show_numbers(bench, comparison, now)
 
     def _show_numbers(self, bench: Bench, comparison: Comparison, now: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
@@ -10,12 +10,15 @@ import numpy as np
 
 from server import style
 from server.digits import written
-from server.labels import ON_PURPOSE, effects, is_unstable, what_is_wrong
+from server.labels import ON_PURPOSE, effects, error_text, is_unstable, what_is_wrong
 from server.meter import Meter
 from server.palette import VARIANTS
 
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
+
+RULED = ("at the start", "= now", "|P| [kg m/s]")
+"""Rows with a line above them."""
 
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
@@ -41,11 +44,10 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
     """Name, cost, work and trouble of each variant; what is bad is bold."""
     rows = []
     for i, (name, meter) in enumerate(zip(names, meters, strict=True)):
-        report = meter.latest.report
         cells = [
             number(meter.ms["total"] if meter.ms else None),
-            style.UNKNOWN if report is None else str(report.iterations),
-            style.UNKNOWN if report is None else str(report.contacts),
+            style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
+            f"{error_text(meter.reading)} {meter.reading.trend}".rstrip(),
             style.UNKNOWN
             if meter.inside is None
             else f'<span class="{"bad" if meter.inside else ""}">{meter.inside}</span>',
@@ -57,23 +59,36 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
         if wrong := what_is_wrong(meter.latest.settings):
             phrase = escape(f"{ON_PURPOSE}: {wrong}")
             rows.append(f'<tr><td colspan="5" class="small">{phrase}</td></tr>')
-    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms/step", "iterations", "contacts", "inside"))
-    return f'<div class="muslin"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "inside"))
+    return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def real_time(meter: Meter) -> float | None:
+    """Simulated time per time that a variant's steps take: below 1 it cannot keep up by itself."""
+    if not meter.ms or meter.dt is None:
+        return None
+    return 1e3 * meter.dt / max(meter.ms["total"], 1e-6)
 
 
 def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     """Every kind of energy [J] and the size of both momenta, a column for each variant."""
     many = len(meters) > 2
-    rows = energy_rows(meters, 3 if many else 4) + momentum_rows(meters, 3 if many else 4)
+    digits = 3 if many else 4
+    rows = energy_rows(meters, digits) + ledger_rows(meters, digits) + momentum_rows(meters, digits)
     if not rows:
         return ""
     head = "".join(f"<th>{style.chip(VARIANTS[i])}{escape(n)}</th>" for i, n in enumerate(names))
     lines = [
-        f'<tr><td class="dim">{escape(title)}</td>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
+        f'<tr{look(title)}><td class="dim">{escape(title)}</td>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
         for title, cells in rows
     ]
     looks = "muslin many" if many else "muslin"
     return f'<div class="{looks}"><table><tr><th></th>{head}</tr>{"".join(lines)}</table></div>'
+
+
+def look(title: str) -> str:
+    """How a row looks: what begins something new has a line above it."""
+    return ' class="rule"' if title in RULED else ""
 
 
 def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
@@ -85,6 +100,33 @@ def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[st
         (kind, [energy_text(e[kind], floor, digits) if kind in e else style.UNKNOWN for e in energies])
         for kind in dict.fromkeys(kind for energy in energies for kind in energy)
     ]
+
+
+def ledger_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
+    """What went where since the start [J]: each entry that any variant has, and what does not add up."""
+    ledgers = [meter.latest.ledger for meter in meters]
+    known = [ledger for ledger in ledgers if ledger is not None]
+    if not known:
+        return []
+    floor = max(NOTHING, SLIGHT * max(ledger.turnover for ledger in known))
+
+    def row(title: str, value: Callable[[Any], float], always: bool = False) -> list[tuple[str, list[str]]]:
+        cells = [style.UNKNOWN if one is None else energy_text(value(one), floor, digits) for one in ledgers]
+        return [(title, cells)] if always or any(cell not in ("0", style.UNKNOWN) for cell in cells) else []
+
+    rows = row("at the start", lambda ledger: ledger.start, always=True)
+    for sign, part in (("+", "injected"), ("−", "dissipated")):
+        for name in getattr(known[0], part):
+            rows += row(f"{sign} {name}", lambda ledger, part=part, name=name: getattr(ledger, part)[name])
+    rows += row("= now", lambda ledger: sum(ledger.energy.values()), always=True)
+    rows.append(("residual", [style.UNKNOWN if one is None else residual_text(one) for one in ledgers]))
+    return rows
+
+
+def residual_text(ledger: Any) -> str:
+    """What does not add up, as a part of all energy that changed its kind."""
+    part = abs(ledger.residual) / ledger.turnover if ledger.turnover > NOTHING else 0.0
+    return f"{written(100.0 * part, 1)} %"
 
 
 def momentum_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:

@@ -19,8 +19,11 @@ from sim.scene import Scene, SceneError, load_scene
 from sim.settings import Settings
 
 if TYPE_CHECKING:
+    from sim.budget import choose_settings
     from sim.contact.intersections import intersections
     from sim.contact.time_of_impact import time_of_impact
+    from sim.ledger import Ledger
+    from sim.probe import LocalError, Probe
     from sim.report import StepError, StepReport
     from sim.ringdown import modal_damping
     from sim.simulation import Simulation
@@ -33,12 +36,16 @@ except PackageNotFoundError:  # a source tree that was never installed
 
 __all__ = [
     "EquilibriumError",
+    "Ledger",
+    "LocalError",
+    "Probe",
     "Scene",
     "SceneError",
     "Settings",
     "Simulation",
     "StepError",
     "StepReport",
+    "choose_settings",
     "equilibrium",
     "intersections",
     "load_scene",
@@ -48,9 +55,13 @@ __all__ = [
 
 _LATER = {
     "EquilibriumError": "sim.statics",
+    "Ledger": "sim.ledger",
+    "LocalError": "sim.probe",
+    "Probe": "sim.probe",
     "Simulation": "sim.simulation",
     "StepError": "sim.report",
     "StepReport": "sim.report",
+    "choose_settings": "sim.budget",
     "equilibrium": "sim.statics",
     "intersections": "sim.contact.intersections",
     "modal_damping": "sim.ringdown",

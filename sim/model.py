@@ -148,12 +148,13 @@ class Model:
         masses[group[own[outside]]] = np.inf
         return group, masses
 
-    def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-        """(n, 3) elastic, damping and gravity forces [N]."""
+    def forces(self, positions: np.ndarray, velocities: np.ndarray, anew: bool = True) -> np.ndarray:
+        """(n, 3) elastic, damping and gravity forces [N]; b `anew`, or that of the last linearisation."""
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
-            set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
+            if anew:
+                set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
             set_tension(springs.elements, velocities)
             add_forces(springs.elements, gather, forces)
         if self.axis is not None:

@@ -19,6 +19,7 @@ from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
 from sim.effects import effects
 from sim.integrators import INTEGRATORS, State
+from sim.ledger import Books, Ledger, Tally
 from sim.mesh import build_mesh
 from sim.model import Model
 from sim.ramp import Ramp
@@ -45,6 +46,7 @@ class Snapshot:
     touched: Touch
     memory: dict[str, np.ndarray]
     injected: float
+    books: Books | None = None
 
 
 class Simulation:
@@ -71,6 +73,7 @@ class Simulation:
         self._time = 0.0
         self._injected = 0.0
         self._limit: float | None = None
+        self._books: Books | None = None
         self.model.forget(self._positions)
 
     def _start(self) -> np.ndarray:
@@ -126,6 +129,16 @@ class Simulation:
         """Energy [J] by kind: kinetic, gravity (zero at the origin), and each spring kind in force."""
         kinetic = 0.5 * float(self.model.masses @ np.einsum("ij,ij->i", self._velocities, self._velocities))
         return {"kinetic": kinetic, **self.model.energies(self._positions)}
+
+    @property
+    def ledger(self) -> Ledger | None:
+        """Where energy went since `keep_ledger`, or since cloth was placed elsewhere; None without books."""
+        return None if self._books is None else self._books.ledger(self.energy(), self._injected)
+
+    def keep_ledger(self, kept: bool = True) -> None:
+        """Keep an energy ledger from now on, or none; the steps are the same to the bit."""
+        self._books = Books(sum(self.energy().values()) - self._injected) if kept else None
+        self.contact.booked = kept
 
     def momentum(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear momentum (3,) [kg m/s] and angular momentum about the origin (3,) [kg m²/s]."""
@@ -191,9 +204,11 @@ class Simulation:
         self._previous = self._limit = None
         self.contact.forget()
         self.model.forget(self._positions)
+        self.keep_ledger(self._books is not None)
 
     def stop(self) -> None:
-        """Take all velocity off the cloth."""
+        """Take all velocity off the cloth, and book it as a change of settings."""
+        self._injected -= self.energy()["kinetic"]
         self._velocities = np.zeros_like(self._velocities)
         self._previous = None
 
@@ -208,6 +223,7 @@ class Simulation:
             touched=self.contact.touched,
             memory=self.model.memory(),
             injected=self._injected,
+            books=self._books,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -218,6 +234,9 @@ class Simulation:
         self._previous, self._limit = snapshot.previous, None
         self.contact.touched = snapshot.touched
         self.model.restore_memory(snapshot.memory, self._positions)
+        if self._books is not None:
+            self.keep_ledger()
+            self._books = snapshot.books or self._books
 
     def step(self) -> StepReport:
         """Advance by one time step of settings.dt.
@@ -251,8 +270,9 @@ class Simulation:
 
         def solve(springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray) -> Solution:
             way = settings, x, v, self._previous if settings is self.settings else None
+            tally = Tally(self.model, springs, self._books.rows) if self._books is not None else None
             try:
-                solution, report.integrator = take_step(self.model, springs, *way)
+                solution, report.integrator = take_step(self.model, springs, *way, tally)
             except SolveError as error:
                 raise StepError(str(error), "solve", self._suspect()) from None
             return solution
@@ -297,6 +317,9 @@ class Simulation:
         self._time += self.settings.dt
         with report.phase("report"):
             report.energy_jumps, report.energy_jump = self.model.remember(self._positions)
+            if self._books is not None:
+                about = self.contact.parts, report.energy_injected, report.energy_jump, solution.rows
+                self._books = self._books.after(*about)
 
     def _suspect(self) -> str:
         """The setting most likely to make a step fail: the first that is far from where it does well."""

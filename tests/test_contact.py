@@ -232,3 +232,19 @@ def test_a_vertex_that_lands_loses_its_normal_speed_and_no_more():
     assert world.positions[0, 2] == pytest.approx(5e-3, abs=1e-9)
     world.step()
     assert world.velocities[0, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("newton", [1, 2, 4])
+@pytest.mark.parametrize("contact", ["penalty", "impulse"])
+def test_a_belt_takes_cloth_along_with_all_that_friction_gives(contact, newton):
+    """It gains μ g t, in steps that are searched along as well: friction is no descent of energy alone."""
+    mu, h, steps = 0.5, 1 / 240, 12
+    keys = [{"time": 0.0, "position": [0, 0, 0]}, {"time": 1.0, "position": [0.5, 0, 0]}]
+    belt = {"kind": "plane", "motion": "linear", "path": keys}
+    cloth = grid((0.2, 0.2), (4, 4), position=[0, 0, 5e-3])
+    how = {"contact": contact, "newton": newton, "tolerance": 1e-8, "dt": h, "friction": mu}
+    world = sim.Simulation(scene(cloth, belt, gravity=[0, 0, -G], **how))
+    for _ in range(steps):
+        world.step()
+    # The first step presses by what it expects, and what rests on springs sinks in for another few.
+    np.testing.assert_allclose(world.velocities[:, 0], mu * G * h * steps, rtol=0.1)

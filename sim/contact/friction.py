@@ -86,14 +86,18 @@ def slip_of(contacts, velocities, c):
 def rub(contacts, masses, inverse_masses, h, positions, velocities, allowed):
     """Slow each sliding contact by an impulse across its normal of no more than is `allowed` (c,) [N s].
 
-    `masses` (c,) are those that the contacts move, infinite where they move nothing.
+    `masses` (c,) are those that the contacts move, infinite where they move nothing. Returns the work [J] of
+    these impulses that the motion of the contacts' other sides puts in.
     """
+    carried = 0.0
     for c in range(len(allowed)):
         slip = slip_of(contacts, velocities, c)
         speed = norm(slip)
         if speed > 0.0 and allowed[c] > 0.0 and masses[c] < np.inf:
             shove = scale(-min(allowed[c] / speed, masses[c]), slip)
             give(contacts, c, inverse_masses, shove, h, positions, velocities)
+            carried += dot(shove, row(contacts.speed, c))
+    return carried
 
 
 @inner

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compiled import inner, kernel
-from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps
+from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps, weighted
 from sim.contact.friction import CREEP, EXCESS, LACKING, STEADY, expected_drag, slip_of
 from sim.contact.response import Response, lacks, targets
 from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
@@ -78,6 +78,18 @@ class GapSprings(NamedTuple):
         self.drag[:] = drag
         return True
 
+    def drag_along(self, velocities: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Coefficients of 1, t and t² in Σ d (slip)² at velocities + t step, as those of damping."""
+        if not len(self.drag):
+            return np.zeros(3)
+        n = self.contacts.normal
+        slip, change = (
+            vectors - along(n, vectors)[:, None] * n
+            for vectors in (self.contacts.passing(velocities), weighted(self.contacts, step))
+        )
+        squares = np.stack([along(slip, slip), 2.0 * along(slip, change), along(change, change)])
+        return squares @ self.drag
+
     def slip(self, velocities: np.ndarray) -> np.ndarray:
         """(c,) speed across each contact [m/s]."""
         passing, n = self.contacts.passing(velocities), self.contacts.normal
@@ -91,12 +103,27 @@ class GapSprings(NamedTuple):
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) forces [N] of the gap springs that push at `positions`, without friction."""
-        forces = np.zeros_like(positions)
-        if len(self.drag):
-            push = np.maximum(-self._tension(positions, velocities), 0.0)
-            shares = push[:, None, None] * self.elements.gradient
-            np.add.at(forces, self.contacts.node.ravel(), shares.reshape(-1, 3))
-        return forces
+        return self.shares(positions, velocities, pull=False)[0]
+
+    def shares(
+        self, positions: np.ndarray, velocities: np.ndarray, pull: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+        """Forces (n, 3) [N] of all gap springs and of all drags, and the powers of their other sides' motion.
+
+        A solve lets those that it feels also `pull`, until it lets go of them.
+        """
+        normal, friction = np.zeros_like(positions), np.zeros_like(positions)
+        if not len(self.drag):
+            return normal, friction, (0.0, 0.0)
+        push, n = -self._tension(positions, velocities), self.contacts.normal
+        push = push if pull else np.maximum(push, 0.0)
+        passing = self.contacts.passing(velocities)
+        slip = passing - along(n, passing)[:, None] * n
+        each = push[:, None] * n, -self.drag[:, None] * slip
+        for forces, force in zip((normal, friction), each, strict=True):
+            spread(self.contacts, force, forces)
+        pushed, rubbed = (float(np.sum(force * self.contacts.speed)) for force in each)
+        return normal, friction, (pushed, rubbed)
 
     def engage(self, positions: np.ndarray, slack: float) -> bool:
         """Let go of contacts more than `slack` [m] off their target, and take up those that lack as much.
@@ -182,6 +209,16 @@ def gap_springs(
     slowed = np.maximum(fast - settings.friction * force * h / mass, STEADY * fast)
     drag = settings.friction * force / np.maximum(slowed, CREEP)
     return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag, np.zeros((3, len(drag))))
+
+
+@kernel
+def spread(contacts, each, forces):
+    """Add to `forces` (n, 3) what each contact's vertices get of its force, `each` (c, 3)."""
+    for c in range(len(each)):
+        for a in range(4):
+            i, w = contacts.node[c, a], contacts.weight[c, a]
+            for r in range(3):
+                forces[i, r] += w * each[c, r]
 
 
 @kernel

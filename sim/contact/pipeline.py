@@ -19,14 +19,14 @@ from msgspec.structs import replace as replaced
 from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.faces import Faces
-from sim.contact.friction import SLOW, rub
+from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.obstacles import Obstacles, Poses
 from sim.contact.pairs import Pairs
 from sim.contact.pinch import fit
-from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, project, targets
-from sim.contact.zones import keep_apart
+from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, targets
 from sim.integrators import INTEGRATORS
+from sim.ledger import UNBOOKED, Part, Unbooked
 from sim.model import Model
 from sim.report import StepReport
 from sim.scene import Scene
@@ -68,6 +68,7 @@ class _Way:
     v: np.ndarray
     solve: Solve
     report: StepReport
+    part: Part | Unbooked
 
 
 class Pipeline:
@@ -76,6 +77,7 @@ class Pipeline:
     Attributes:
         obstacles: Of the scene.
         touched: What the contacts of the last step remember.
+        booked: Whether a ledger is kept; then `parts` has the books of each part of the last step.
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
@@ -84,6 +86,7 @@ class Pipeline:
         first_key = len(model.mesh.vertices) * len(self.obstacles.parts)
         self._faces = Faces(model.mesh, model.free, self.obstacles, first_key)
         self._pairs: Pairs | None = None
+        self.booked, self.parts = False, []
         self.forget()
 
     def forget(self) -> None:
@@ -108,6 +111,7 @@ class Pipeline:
         """
         response = self._response(settings)
         pairs = self._pairs_for(settings)
+        self.parts = []
         return self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
 
     def depths(self, time: float, positions: np.ndarray) -> np.ndarray:
@@ -122,10 +126,14 @@ class Pipeline:
         """Take a step, or where that leads to a tangle its two halves one after the other."""
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
-        way = _Way(settings, *poses, x, v, solve, report)
+        part = Part(self._model, x, v) if self.booked else UNBOOKED
+        way = _Way(settings, *poses, x, v, solve, report, part)
         last = halvings == 0 or report.failsafes >= MOST_FAILSAFES
         found = self._attempt(way, response, pairs, touched, last)
         if found is not None:
+            if isinstance(part, Part):
+                part.close(found[0])
+                self.parts.append(part)
             return found
         report.substeps += 1
         half = replaced(settings, dt=0.5 * h)
@@ -203,7 +211,7 @@ class Pipeline:
         report.contacts = len(contacts.key)
         with report.phase("respond"):
             inverse_masses = self._model.inverse_masses
-            project(contacts, s.friction, contacts.masses(inverse_masses), inverse_masses, x, v)
+            way.part.project(contacts, s.friction, contacts.masses(inverse_masses), inverse_masses, x, v)
         return solution, UNTOUCHED
 
     def _pairs_for(self, s: Settings) -> Pairs | None:
@@ -340,11 +348,12 @@ class Pipeline:
         masses, given = contacts.masses(inverse_masses), np.zeros(len(impulses))
         wanted = targets(response, contacts, h)
         push = masses, inverse_masses, h, x, v
+        way.part.respond_anew()
         if response.impulses:
-            keep_apart(contacts, wanted, *push, given, report)
-        rub(contacts, *push, s.friction * (given if response.solved else impulses + given) + crept)
+            way.part.keep_apart(contacts, wanted, *push, given, report)
+        way.part.rub(contacts, *push, s.friction * (given if response.solved else impulses + given) + crept)
         if response.impulses:
-            keep_apart(contacts, wanted, *push, given, report)
+            way.part.keep_apart(contacts, wanted, *push, given, report)
         if not (response.impulses and s.detection == "continuous" and np.isfinite(x).all()):
             pressed = impulses + given
         elif (found := self._untangle(response, pairs, way, contacts, given, x, v, last)) is None:
@@ -412,8 +421,8 @@ class Pipeline:
             before = given.copy()
             masses = contacts.masses(inverse_masses)
             push = masses, inverse_masses, h, x, v
-            keep_apart(contacts, targets(response, contacts, h), *push, given, report)
-            rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
+            way.part.keep_apart(contacts, targets(response, contacts, h), *push, given, report)
+            way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
         if not last:
             return None
         self._hold_back(pairs, way, x)

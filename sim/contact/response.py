@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.compiled import dot, kernel, norm, row, scale, sub
+from sim.compiled import dot, kernel, norm, row, scale
 from sim.contact.contacts import Contacts, lack_of
-from sim.contact.friction import give, passing_of, shift
+from sim.contact.friction import give, passing_of, shift, slip_of
 
 
 @dataclass(frozen=True)
@@ -102,21 +102,28 @@ def push_apart(contacts, targets, masses, inverse_masses, h, positions, velociti
 
 
 @kernel
-def project(contacts, friction, masses, inverse_masses, positions, velocities):
+def project(contacts, friction, masses, inverse_masses, positions, velocities, rubbed):
     """Put contacts that are nearer than their thickness at it, and take off the speed at which they close.
 
-    Positions change and velocities do not follow them; the speed taken off brings friction with it.
+    Positions change and velocities do not follow them; the speed taken off brings friction with it. Adds what
+    friction changes velocities by to `rubbed` (n, 3) [m/s], and returns the work [J] that the motion of the
+    other sides puts in by pushing and by friction.
     """
+    pushed = dragged = 0.0
     for _ in range(PROJECTIONS):
         for c in range(len(masses)):
-            n = row(contacts.normal, c)
+            n, speed = row(contacts.normal, c), row(contacts.speed, c)
             lack = lack_of(contacts, positions, c, contacts.thickness[c])
             if lack > 0.0 and masses[c] < np.inf:
                 shift(contacts, c, inverse_masses, scale(masses[c] * lack, n), positions)
-                passing = passing_of(contacts, velocities, c)
-                closing = dot(n, passing)
+                closing = dot(n, passing_of(contacts, velocities, c))
                 if closing < 0.0:
-                    slip = sub(passing, scale(closing, n))
+                    slip = slip_of(contacts, velocities, c)
                     part = min(-friction * closing / max(norm(slip), 1e-300), 1.0)
-                    change = sub(scale(-closing, n), scale(part, slip))
-                    shift(contacts, c, inverse_masses, scale(masses[c], change), velocities)
+                    push, drag = scale(-masses[c] * closing, n), scale(-masses[c] * part, slip)
+                    for impulse in (push, drag):
+                        shift(contacts, c, inverse_masses, impulse, velocities)
+                    shift(contacts, c, inverse_masses, drag, rubbed)
+                    pushed += dot(push, speed)
+                    dragged += dot(drag, speed)
+    return pushed, dragged

@@ -1,14 +1,16 @@
 """The one kernel that every implicit integrator calls: backward Euler from (x̂, v̂) over h.
 
 It finds v with x = x̂ + h v and M (v − v̂) = h f(x, v), which minimises the incremental potential
-Φ(v) = ½ ‖v − v̂‖²_M + E(x̂ + h v) + ½ h Σ b q̇². One Newton iteration is the linearised step of Baraff and
-Witkin (1998); more of them, with a line search that never lets Φ grow, converge to the solution.
+Φ(v) = ½ ‖v − v̂‖²_M + E(x̂ + h v) + ½ h Σ b q̇², where friction's drag counts like damping. One Newton iteration
+is the linearised step of Baraff and Witkin (1998); more of them, with a line search that never lets Φ grow,
+converge to the solution.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from sim.compiled import corner, dot, kernel, row
 from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
-from sim.solve.cg import BROKEN, CONVERGED, EXHAUSTED, conjugate_gradients
+from sim.solve.cg import BROKEN, CONVERGED, EXHAUSTED, conjugate_gradients, multiply
 from sim.solve.preconditioner import refresh
 
 MOST_ITERATIONS = 5000
@@ -42,6 +44,22 @@ class SolveError(ArithmeticError):
     """The linear system could not be solved; the message says which number went wrong."""
 
 
+class Felt(NamedTuple):
+    """What a solve felt, for a ledger.
+
+    Attributes:
+        impulse: (n, 3) of all forces, as its last linear model has them [N s].
+        normal: (n, 3) forces of contacts along their normals, at the end of the step [N].
+        friction: (n, 3) and across them [N].
+        carried: Powers [W] that the other sides' motion puts in by both.
+    """
+
+    impulse: np.ndarray
+    normal: np.ndarray
+    friction: np.ndarray
+    carried: tuple[float, float]
+
+
 @dataclass(frozen=True)
 class Solution:
     """The end of an implicit step.
@@ -55,6 +73,8 @@ class Solution:
         converged: The linear solves reached the tolerance, and Newton did where it may iterate.
         solver: What the last linear system was solved with, "cg" or "direct".
         stopped: Why Newton's iteration ended.
+        felt: What it felt, where a ledger is kept.
+        rows: What a ledger's tally integrated along with it.
     """
 
     positions: np.ndarray
@@ -65,6 +85,8 @@ class Solution:
     converged: bool
     solver: str = ""
     stopped: str = ""
+    felt: Felt | None = None
+    rows: np.ndarray | None = None
 
 
 def backward_euler(
@@ -76,6 +98,7 @@ def backward_euler(
     h: float,
     start: np.ndarray,
     filtered: int = FILTERED,
+    booked: bool = False,
 ) -> Solution:
     """Solve one backward-Euler step from (`x_hat`, `v_hat`) over `h` [s].
 
@@ -88,6 +111,7 @@ def backward_euler(
         h: Length of the step [s].
         start: (n, 3) positions to linearise at first [m].
         filtered: Newton iterations before those with the exact Hessian.
+        booked: Whether to say what the solve felt.
 
     Raises:
         SolveError: where the matrix is not positive definite or a number is not finite.
@@ -127,13 +151,28 @@ def backward_euler(
             way = step - drift, descent
             step = drift + _line_search(model, contacts, x_hat, v_hat, velocities + drift, h, *way)
         velocities = velocities + step
+        shares = contacts.shares(x_hat + h * velocities, velocities) if booked else None
         small = not contacts.engage(x_hat + h * velocities, settings.tolerance) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
         if converged or newton == settings.newton or not step.any():
             end = x_hat + h * velocities
             why = _why_stopped(settings, linear, small, bool(step.any()))
-            return Solution(end, velocities, iterations, newton, linear.error, converged, linear.solver, why)
+            felt = None
+            if shares is not None:
+                felt = Felt(_modelled(model, forces, linear.step, step, h), *shares)
+            how = iterations, newton, linear.error, converged, linear.solver, why
+            return Solution(end, velocities, *how, felt)
+
+
+def _modelled(model: Model, forces: np.ndarray, full: np.ndarray, step: np.ndarray, h: float) -> np.ndarray:
+    """(n, 3) impulse [N s] that the linear model has: h f − (A − M) step where the `full` step was made.
+
+    Of a step that the line search shortened it also has what that left out, on purpose: A (full − step).
+    """
+    product = np.empty_like(full)
+    multiply(model.matrix, model.coupling, model.free, full, product, model.work.partial)
+    return h * forces - product + model.masses[:, None] * step
 
 
 def _why_stopped(settings: Settings, linear: _Linear, small: bool, moved: bool) -> str:
@@ -216,13 +255,10 @@ def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) ->
     `descent` is −∂Φ/∂v along every step without drift. Loose pieces have drifted in full before: Φ is exactly
     quadratic in that, and a shortened step would take their momentum away.
     """
-    quadratic = sum(
-        (
-            damping_along(e, velocities, step)
-            for e in (*(s.elements for s in model.springs), contacts.elements)
-        ),
-        np.zeros(3),
-    )
+    damped = (*(s.elements for s in model.springs), contacts.elements)
+    quadratic = contacts.drag_along(velocities, step)
+    for elements in damped:
+        quadratic = quadratic + damping_along(elements, velocities, step)
 
     def potential(t: float) -> float:
         v = velocities + t * step

@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.contact.gap import GapSprings
 from sim.integrators import INTEGRATORS, State, Step
+from sim.ledger import Tally
 from sim.model import Model
 from sim.settings import Settings
 from sim.solve.implicit import Solution, backward_euler
@@ -20,6 +21,7 @@ def take_step(
     x: np.ndarray,
     v: np.ndarray,
     previous: State | None,
+    tally: Tally | None = None,
 ) -> tuple[Solution, str]:
     """The state settings.dt after (`x`, `v`), and the name of the integrator that took it there.
 
@@ -30,6 +32,7 @@ def take_step(
         x: (n, 3) positions [m].
         v: (n, 3) velocities [m/s], zero for pinned vertices.
         previous: The state one step before, where the integrator may use it.
+        tally: Of a ledger, to be integrated along with the state.
 
     Raises:
         SolveError: as `backward_euler`.
@@ -38,22 +41,32 @@ def take_step(
     if INTEGRATORS[name].implicit and len(contacts.drag):
         name = "backward_euler"
     stages: list[Solution] = []
+    n = len(x)
 
     def solve(x_hat: np.ndarray, v_hat: np.ndarray, h: float) -> State:
         start = stages[-1].positions if stages else x
-        stages.append(backward_euler(model, contacts, settings, x_hat, v_hat, h, start))
+        kernel = model, contacts, settings, x_hat[:n], v_hat[:n], h, start
+        stages.append(backward_euler(*kernel, booked=tally is not None))
+        if tally is not None:
+            return tally.after(stages[-1], v_hat, h)
         return stages[-1].positions, stages[-1].velocities
 
     def acceleration(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        if tally is not None:
+            return tally.rates(x[:n], v[:n])
         return model.accelerations(x, v) + model.inverse_masses[:, None] * contacts.forces(x, v)
 
-    end = INTEGRATORS[name].advance(Step(x, v, settings.dt, previous, solve, acceleration))
+    begin, earlier = (x, v), previous
+    if tally is not None:
+        begin = tally.state(x, v)
+        earlier = None if previous is None else tally.earlier(*previous, v)
+    end_x, end_v = INTEGRATORS[name].advance(Step(*begin, settings.dt, earlier, solve, acceleration))
+    end = {"positions": end_x[:n], "velocities": end_v[:n], "rows": None if tally is None else end_v[n:]}
     if not stages:
-        return Solution(*end, iterations=0, newton=0, residual=0.0, converged=True), name
+        return Solution(**end, iterations=0, newton=0, residual=0.0, converged=True), name
     total = replace(
         stages[-1],
-        positions=end[0],
-        velocities=end[1],
+        **end,
         iterations=sum(stage.iterations for stage in stages),
         newton=sum(stage.newton for stage in stages),
         residual=max(stage.residual for stage in stages),

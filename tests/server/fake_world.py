@@ -174,3 +174,10 @@ class RawClient:
         self._do(self._socket.close())
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5)
+
+
+def press_find(client: RawClient, kind: str, most: float) -> None:
+    """Ask for settings that meet a budget."""
+    client.set(client.find("budget"), kind)
+    client.set(client.find("at most"), most)
+    client.set(client.find("find"), "Find settings")

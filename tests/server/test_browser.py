@@ -161,7 +161,45 @@ def test_plots_hold_live_data(page):
     points = (
         "() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(plot => plot.chart.data[0].length)"
     )
+    wait_until(lambda: len(page.evaluate(points)) == 2 and min(page.evaluate(points)) > 2, seconds=120)
+    page.get_by_role("tab", name="Energy").click()
+    page.get_by_text("residual").wait_for()
     wait_until(lambda: len(page.evaluate(points)) == 3 and min(page.evaluate(points)) > 2, seconds=120)
+    page.get_by_role("tab", name="Cost").click()
+
+
+POINT = """i => {
+    const point = document.querySelector(`svg.tradeoff circle.variant${i}`);
+    const filled = point && point.getAttribute('fill') != '#ffffff';
+    return filled ? [Number(point.getAttribute('cx')), Number(point.getAttribute('cy'))] : null;
+}"""
+"""Where a variant's point is in the chart of error against cost, once it is up to date."""
+
+
+def test_point_of_error_against_cost_moves_when_a_setting_does(lab, page):
+    """In free fall, and in a pause, where a frame of five steps has 0.3 times the error of one of one."""
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Reset").click()
+    wait_until(lambda: [frame.time for frame in lab.frames] == [0.0, 0.0], seconds=60)
+    page.get_by_role("button", name="Step").click()
+    wait_until(lambda: not lab._bench.busy and all(frame.time > 0 for frame in lab.frames), seconds=60)
+    at = [frame.time for frame in lab.frames]
+    wait_until(lambda: [reading.time for reading in lab._prober.readings] == at, seconds=120)
+    wait_until(lambda: all(page.evaluate(POINT, i) for i in range(2)), seconds=60)
+    before = [page.evaluate(POINT, i)[1] for i in range(2)]
+    page.get_by_role("tab", name="Solver").click()
+    row(page, "time step").locator("input.mantine-TextInput-input").fill("0.004")
+    wait_until(lambda: settings(lab, "dt") == [0.004, 0.004], seconds=60)
+
+    def lower(i):
+        point = page.evaluate(POINT, i)
+        return point is not None and point[1] > before[i] + 5
+
+    wait_until(lambda: lower(0) and lower(1), seconds=240)
+    row(page, "time step").locator("input.mantine-TextInput-input").fill("0.0166667")
+    wait_until(lambda: settings(lab, "dt") == [0.0166667, 0.0166667], seconds=60)
+    page.get_by_role("tab", name="Cloth").click()
+    page.get_by_role("button", name="Play").click()
 
 
 def test_another_setting_is_compared(lab, page):
@@ -202,6 +240,7 @@ def test_chain_is_seen_without_a_triangle_and_without_an_error(page):
     lab.post(lab.pause)
     lab.post(lab.reset)
     wait_until(lambda: chain_page.evaluate(ORANGE) > 20, seconds=120)
+    chain_page.get_by_role("tab", name="Energy").click()
     chain_page.get_by_text("momentum, SI").wait_for()
     assert chain_page.errors == []
     chain_page.close()

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from fake_world import SCENE, FakeWorld, StepError, wait_until
 
-from server.lane import Advance, Change, Lane, Reset
+from server.lane import Advance, Ask, Change, Lane, Reset
 from sim import load_scene
 
 STILL = 1 / 60
@@ -132,6 +132,26 @@ def test_lane_stops_in_the_middle_of_an_advance(start):
     lane.stop()
     lane.join(5)
     assert not lane.is_alive()
+
+
+class Kept(FakeWorld):
+    def snapshot(self):
+        assert threading.get_ident() == self.thread
+        return self.steps
+
+
+def test_state_is_handed_over_between_two_steps_in_the_lanes_thread(start):
+    lane, states = start(Kept, dt=0.01), []
+    frame = finish(lane, Advance(0.05))
+    lane.send(Ask(states.append))
+    wait_until(lambda: states == [5])
+    assert lane.frame is frame, "which holds what was measured of the steps, and may not have been taken in"
+
+
+def test_simulation_without_a_state_to_hand_over_says_so(start):
+    states = []
+    start().send(Ask(states.append))
+    wait_until(lambda: states == [None])
 
 
 def test_lanes_step_in_threads_of_their_own(start):

@@ -1,0 +1,218 @@
+"""Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
+
+The time that probes take is accounted for: the regular ones, all together, take at most SHARE of the time
+that the lanes step. What a change made out of date, or a pause, is measured once as soon as changes have
+settled. While nobody looks nothing is measured.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from server.lane import Ask, Frame
+from sim.report import StepError
+
+if TYPE_CHECKING:
+    from server.bench import Bench
+
+_log = logging.getLogger(__name__)
+
+SHARE = 0.025
+"""Of the lanes' stepping time that regular probes may take: with the ledger's share, some 5 %."""
+
+SETTLE = 0.25
+"""Wall time [s] without a change after which something out of date is measured again."""
+
+NICE = 10
+"""By how much the thread stands back where the machine is busy, on systems that have it."""
+
+RISING = 1.2
+"""Times that an error must have grown, or shrunk, since the one before for that to be said."""
+
+
+class Stopped(Exception):
+    """Nobody asks any more."""
+
+
+Work = Callable[[Any, Any], Any]
+"""Makes something of a sim.probe.Probe and a snapshot."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What is known of one variant's local error.
+
+    Attributes:
+        found: A sim.probe.LocalError; None while there is none.
+        measuring: Whether there will be one.
+        why_not: Why it could not be measured; empty otherwise.
+        trend: How it goes: "↗", "→", "↘", or nothing yet.
+        time: Simulated time [s] of the state that it is of.
+    """
+
+    found: Any = None
+    measuring: bool = False
+    why_not: str = ""
+    trend: str = ""
+    time: float = -1.0
+
+
+NO_READING, MEASURING = Reading(), Reading(measuring=True)
+
+
+class Prober:
+    """Keeps a reading for every variant. All but the measuring itself is for the lab's thread.
+
+    Args:
+        post: Has the lab's thread call a function with arguments soon.
+
+    Attributes:
+        readings: By variant.
+        spent: Time [s] that regular probes took, of `stepped` that the lanes stepped.
+    """
+
+    def __init__(self, post: Callable) -> None:
+        self._post = post
+        self._jobs: queue.SimpleQueue = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._run = 0
+        self.clear()
+
+    def clear(self, build: Callable[[Any], Any] | None = None, count: int = 0) -> None:
+        """Forget all: now there are `count` variants of the scene that `build` makes simulations of."""
+        self._run += 1
+        self._build, self._probe, self._busy = build, None, False
+        self._versions, self._turn = [0] * count, 0
+        self._seen: list[Frame | None] = [None] * count
+        self.readings = [MEASURING] * count
+        self._changed = perf_counter()
+        self.spent = self.stepped = self._took = 0.0
+
+    def changed(self, index: int) -> None:
+        """A setting of a variant has changed, or it began again: what was measured holds no longer."""
+        if index < len(self._versions):
+            self._versions[index] += 1
+            self.readings[index] = MEASURING
+            self._changed = perf_counter()
+
+    def stop(self) -> None:
+        """End the thread after the step that it is in."""
+        self.clear()
+        self._jobs.put(None)
+
+    def tick(self, bench: Bench, watched: bool) -> None:
+        """Take in what the lanes stepped, and begin the next measurement if it is due."""
+        for i, frame in enumerate(bench.finished[: len(self._seen)]):
+            if frame is not self._seen[i] and frame.steps and frame.ms:
+                self.stepped += 1e-3 * frame.ms["total"] * frame.steps
+            self._seen[i] = frame
+        if self._busy or self._build is None or not watched or not bench.ready:
+            return
+        if (index := self._next(bench)) is not None:
+            self._turn, regular = index + 1, bench.playing and self.readings[index] is not MEASURING
+            self.ask(bench, index, _measure, lambda found: self._take(index, found), regular)
+
+    def ask(
+        self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], regular: bool = False
+    ) -> None:
+        """Do `work` on the present state of a variant, and `then` take its result, or what it raised.
+
+        A change of that variant's settings ends the work with Stopped. What is done `regular`ly counts as
+        spent.
+        """
+        token = self._run, index, self._versions[index]
+        self._busy = True
+        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then, regular))))
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="muslin prober", daemon=True)
+            self._thread.start()
+
+    def _next(self, bench: Bench) -> int | None:
+        """Which variant is to be measured now."""
+        if perf_counter() < self._changed + SETTLE:
+            return None
+        able = [i for i, lane in enumerate(bench.lanes) if lane.ready and not lane.frame.refused]
+        for i in able:
+            reading = self.readings[i]
+            moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not
+            if reading is MEASURING or moved:
+                return i
+        if not bench.playing or self.spent + self._took > SHARE * self.stepped:
+            return None
+        return next((i for i in able if i >= self._turn), next(iter(able), None))
+
+    def _take(self, index: int, found: Any) -> None:
+        """Keep what was found, or why nothing was."""
+        if isinstance(found, Stopped):
+            return
+        if isinstance(found, ValueError):  # simulations that hand over no state
+            self._build = None
+        state, found = found if isinstance(found, tuple) else (None, found)
+        if state is None:
+            self.readings[index] = Reading(why_not=str(found))
+            return
+        before, trend = self.readings[index].found, ""
+        if before is not None:
+            ratio = found.error / max(before.error, 1e-300)
+            trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
+        self._took = found.took
+        self.readings[index] = Reading(found, trend=trend, time=state.time)
+
+    # The prober's own thread.
+
+    def _work(self) -> None:
+        with contextlib.suppress(AttributeError, OSError):  # Linux has a priority for each thread
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        while (job := self._jobs.get()) is not None:
+            token, state, work, then, regular = job
+            begin = perf_counter()
+            result = self._result(token, state, work)
+            self._post(self._answer, token, result, then, perf_counter() - begin, regular)
+
+    def _result(self, token: tuple[int, int, int], state: Any, work: Work) -> Any:
+        from sim.probe import Probe
+
+        if state is None:
+            return ValueError("there is no state to measure from")
+        try:
+            if self._probe is None or self._probe[0] != token[0]:
+                build = self._build
+                if build is None:
+                    return Stopped()
+                self._probe = token[0], build(state.ramp.target)
+            return work(Probe(self._probe[1], lambda: self._go_on(token)), state)
+        except (StepError, ValueError, Stopped) as error:
+            return error
+        except Exception as error:
+            _log.exception("an error could not be measured")
+            return error
+
+    def _go_on(self, token: tuple[int, int, int]) -> None:
+        if not self._holds(token):
+            raise Stopped
+
+    def _holds(self, token: tuple[int, int, int]) -> bool:
+        """Whether what was asked for is still asked for; may be asked by any thread."""
+        run, index, version = token
+        versions = self._versions
+        return run == self._run and index < len(versions) and versions[index] == version
+
+    def _answer(
+        self, token: tuple[int, int, int], result: Any, then: Callable, took: float, regular: bool
+    ) -> None:
+        if token[0] == self._run:
+            self._busy = False
+            self.spent += took if regular else 0.0
+        then(result if self._holds(token) else Stopped())
+
+
+def _measure(probe: Any, state: Any) -> Any:
+    return state, probe.measure(state)

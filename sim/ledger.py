@@ -1,0 +1,285 @@
+"""The energy ledger: where a simulation's energy went, entry by entry, and what does not add up.
+
+A step takes (x₀, v₀) to (x₁, v₁). With v̄ = ½ (v₀ + v₁) its kinetic energy changes by exactly v̄·M (v₁ − v₀),
+and what impulses do to it is v̄ times each. Impulses are integrated by the integrator itself, along with the
+state, from forces that are evaluated anew at its stages: S of springs and gravity with the springs' damping;
+N and F of contacts, normal and friction; L, the force that a solve took for granted, less what it turned out
+to be.
+
+- damping: Σ b q̇² at the stages, with the integrator's weights: never negative. The factor b is that of the
+  last linearisation, as the step felt it.
+- friction, contact: −v̄·F and −v̄·N, with what `rub` and `keep_apart` gave after the solve, and without the
+  share of obstacles, which put in (impulse)·(their velocity). An inelastic impact loses ½ m v² so. In a step
+  in which the slip turns about, friction may come out a little below zero.
+- linearisation: −v̄·L. A step that is solved to the end has none.
+- integrator: −ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For backward
+  Euler without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares that a
+  step of it loses for every convex E, and for any other integrator what its own rule for x and v comes to.
+  Where contact moves vertices after the solve, which asks no spring, what springs gain by it is in here, too.
+
+What is left, the residual, is v̄·(M (v₁ − v₀) − S − N − F − L) in each step, the work of a force that no
+entry knows: what the linear solver's tolerance left of the equation of motion; and any energy that changed
+between steps without being booked. It is no part of any entry, and would show one that is wrong.
+
+Source of the two squares: the dissipation of implicit Euler, e.g. Hairer, Lubich and Wanner (2006), VI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim.contact.contacts import Contacts, along
+from sim.contact.friction import rub
+from sim.contact.response import project
+from sim.contact.zones import keep_apart
+from sim.solve.implicit import Felt, Solution
+
+if TYPE_CHECKING:
+    from sim.contact.gap import GapSprings
+    from sim.integrators import State
+    from sim.model import Model
+
+DISSIPATED = ("damping", "friction", "contact", "linearisation", "integrator")
+INJECTED = ("settings", "obstacles", "switched springs", "wrong springs")
+
+Account = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """What became of energy since the books were opened [J].
+
+    Attributes:
+        start: Energy, kinetic and potential, at the opening.
+        energy: Now, by kind.
+        dissipated: By what; an entry is negative where it put energy in.
+        injected: By what; an entry is negative where it took energy out.
+        turnover: Of all steps, what kinds of energy and entries changed by, without sign: the scale of
+        errors.
+    """
+
+    start: float
+    energy: Account
+    dissipated: Account
+    injected: Account
+    turnover: float
+
+    @property
+    def residual(self) -> float:
+        """What does not add up [J]: energy that is there, or went, and was not there or put in."""
+        known = self.start + sum(self.injected.values()) - sum(self.dissipated.values())
+        return sum(self.energy.values()) - known
+
+
+@dataclass(frozen=True)
+class Books:
+    """The sums behind a ledger, as of the end of a step; never changed.
+
+    Attributes:
+        start: Energy at the opening [J].
+        flows: By entry [J].
+        turnover: As in Ledger.
+        rows: Of the last step's tally, for integrators that look back.
+    """
+
+    start: float
+    flows: Account = field(default_factory=lambda: dict.fromkeys((*DISSIPATED, *INJECTED), 0.0))
+    turnover: float = 0.0
+    rows: np.ndarray | None = None
+
+    def ledger(self, energy: Account, pending: float) -> Ledger:
+        """With the present `energy` by kind, and what settings put in that no step has reported yet."""
+        injected = {name: self.flows[name] for name in INJECTED}
+        injected["settings"] += pending
+        return Ledger(
+            self.start, energy, {name: self.flows[name] for name in DISSIPATED}, injected, self.turnover
+        )
+
+    def after(self, parts: list[Part], settings: float, switched: float, rows: np.ndarray | None) -> Books:
+        """With a step made in `parts`, what settings put in before it, and switched springs after."""
+        flows, turnover = dict(self.flows), self.turnover + abs(settings) + abs(switched)
+        flows["settings"] += settings
+        flows["switched springs"] += switched
+        for part in parts:
+            turnover += part.turnover
+            for name, amount in part.flows.items():
+                flows[name] += amount
+        return Books(self.start, flows, turnover, rows)
+
+
+class Tally:
+    """Impulses and work of a step's forces, integrated by the integrator along with the state.
+
+    They are rows below the velocities: `n` each of S, L, N and F, then the powers of damping, of springs that
+    are wrong on purpose, and, of what contacts push and rub with, the parts of obstacles. Below positions are
+    as many, which mean nothing.
+
+    Args:
+        model: Springs and masses.
+        contacts: What the step feels.
+        before: The rows of the step before, where the integrator looks back.
+    """
+
+    def __init__(self, model: Model, contacts: GapSprings, before: np.ndarray | None) -> None:
+        self._model, self._contacts, self._before = model, contacts, before
+
+    def state(self, x: np.ndarray, v: np.ndarray) -> State:
+        """Positions and velocities (n, 3) with nothing integrated."""
+        return self._below(x), self._below(v)
+
+    def earlier(self, x: np.ndarray, v: np.ndarray, now: np.ndarray) -> State:
+        """The same one step earlier; where no books were kept then, S alone made the velocities `now`."""
+        n = len(v)
+        rows = self._before
+        if rows is None:
+            rows = np.zeros((4 * n + 2, 3))
+            rows[:n] = self._model.masses[:, None] * (now - v)
+        return self._below(x), np.concatenate([v, -rows])
+
+    @staticmethod
+    def _below(array: np.ndarray) -> np.ndarray:
+        whole = np.zeros((5 * len(array) + 2, 3))
+        whole[: len(array)] = array
+        return whole
+
+    def after(self, stage: Solution, v_hat: np.ndarray, h: float) -> State:
+        """The end of a stage of backward Euler over `h` [s] from velocities and rows `v_hat`."""
+        felt, n = stage.felt, len(stage.positions)
+        assert felt is not None
+        rates = self._rates(stage.positions, stage.velocities, felt, anew=False)
+        rates[n : 2 * n] = felt.impulse / h - rates[:n] - felt.normal - felt.friction
+        end = np.concatenate([stage.velocities, v_hat[n:]])
+        end[n:] += h * rates
+        return self._below(stage.positions), end
+
+    def rates(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Accelerations (n, 3) [m/s²] of an explicit stage, and the rows' rates below them."""
+        felt, n = Felt(np.zeros(0), *self._contacts.shares(x, v, pull=False)), len(x)
+        rates = self._rates(x, v, felt, anew=True)
+        return np.concatenate([self._model.inverse_masses[:, None] * (rates[:n] + felt.normal), rates])
+
+    def _rates(self, x: np.ndarray, v: np.ndarray, felt: Felt, anew: bool) -> np.ndarray:
+        n = len(x)
+        rates = np.zeros((4 * n + 2, 3))
+        rates[:n] = self._model.forces(x, v, anew)
+        rates[2 * n : 3 * n], rates[3 * n : 4 * n] = felt.normal, felt.friction
+        rates[4 * n, :2], rates[4 * n + 1, :2] = self._powers(v), felt.carried
+        return rates
+
+    def _powers(self, v: np.ndarray) -> tuple[float, float]:
+        """What damping takes [W], and what springs that are wrong on purpose give; after `forces`."""
+        damping = wrong = 0.0
+        for springs in self._model.springs:
+            e = springs.elements
+            viscous = e.tension - e.stiffness * (e.q - e.rest)  # b q̇
+            damped = float(viscous @ np.divide(viscous, e.damping, where=e.damping > 0.0, out=0.0 * viscous))
+            damping += damped
+            if springs.kind.wrong:
+                wrong -= float(e.tension @ np.einsum("eki,eki->e", e.gradient, v[e.nodes])) - damped
+        return damping, wrong
+
+
+class Unbooked:
+    """A part of a step whose energy nobody asks after."""
+
+    keep_apart = staticmethod(keep_apart)
+    rub = staticmethod(rub)
+
+    def respond_anew(self) -> None:
+        """Nothing is known of an earlier try."""
+
+    @staticmethod
+    def project(*about: Any) -> None:
+        """Put right what a step led into."""
+        project(*about, np.zeros_like(about[-1]))
+
+
+UNBOOKED = Unbooked()
+
+
+class Part:
+    """Books of one step of the integrator, which may be a part of a step, while it is made.
+
+    Args:
+        model: Springs and masses.
+        x: (n, 3) positions at its start [m].
+        v: (n, 3) velocities at its start [m/s].
+
+    Attributes:
+        flows: What it came to, by entry.
+        turnover: And without signs.
+    """
+
+    def __init__(self, model: Model, x: np.ndarray, v: np.ndarray) -> None:
+        self._model, self._x, self._v = model, x, v
+        self._potential = model.energies(x)
+        self.flows: Account = {}
+        self.turnover = 0.0
+        self.respond_anew()
+
+    def respond_anew(self) -> None:
+        """Forget what an earlier try at a response gave."""
+        self._given = {name: np.zeros_like(self._x) for name in ("contact", "friction")}
+        self._carried = dict.fromkeys(self._given, 0.0)
+
+    def keep_apart(self, contacts: Contacts, targets, masses, inverse, h, x, v, given, report) -> None:
+        """As `sim.contact.zones.keep_apart`."""
+        before = given.copy()
+        with self._giving("contact", v):
+            keep_apart(contacts, targets, masses, inverse, h, x, v, given, report)
+        self._carried["contact"] += float((given - before) @ along(contacts.normal, contacts.speed))
+
+    def rub(self, contacts: Contacts, masses, inverse, h, x, v, allowed) -> None:
+        """As `sim.contact.friction.rub`."""
+        with self._giving("friction", v):
+            carried = rub(contacts, masses, inverse, h, x, v, allowed)
+        self._carried["friction"] += carried
+
+    def project(self, contacts: Contacts, friction, masses, inverse, x, v) -> None:
+        """As `sim.contact.response.project`."""
+        rubbed = np.zeros_like(v)
+        with self._giving("contact", v):
+            pushed, dragged = project(contacts, friction, masses, inverse, x, v, rubbed)
+        rubbed *= self._model.masses[:, None]
+        self._given["contact"] -= rubbed
+        self._given["friction"] += rubbed
+        self._carried["contact"] += pushed
+        self._carried["friction"] += dragged
+
+    @contextmanager
+    def _giving(self, name: str, v: np.ndarray) -> Iterator[None]:
+        """Book what the block does to velocities `v` (n, 3) as impulses of `name`."""
+        before = v.copy()
+        yield
+        self._given[name] += self._model.masses[:, None] * (v - before)
+
+    def close(self, solution: Solution) -> None:
+        """Make the entries, at the end of it: the `solution` has the rows of a Tally."""
+        assert solution.rows is not None
+        n, x, v = len(self._x), solution.positions, solution.velocities
+        impulse, linear, normal, friction = (solution.rows[k * n : (k + 1) * n] for k in range(4))
+        (damping, wrong, _), (pushed, rubbed, _) = solution.rows[4 * n :].tolist()
+        pushed, rubbed = pushed + self._carried["contact"], rubbed + self._carried["friction"]
+        mean, potential = 0.5 * (self._v + v), self._model.energies(x)
+        changes = {name: energy - self._potential[name] for name, energy in potential.items()}
+        wrong += sum(changes[s.name] for s in self._model.springs if s.kind.wrong)
+        self.flows = {
+            "damping": damping,
+            "friction": rubbed - _work(mean, friction + self._given["friction"]),
+            "contact": pushed - _work(mean, normal + self._given["contact"]),
+            "linearisation": -_work(mean, linear),
+            "integrator": wrong - sum(changes.values()) - _work(mean, impulse) - damping,
+            "obstacles": pushed + rubbed,
+            "wrong springs": wrong,
+        }
+        kinetic = _work(mean, self._model.masses[:, None] * (v - self._v))
+        self.turnover = 0.5 * sum(map(abs, (kinetic, *changes.values(), *self.flows.values())))
+
+
+def _work(velocities: np.ndarray, impulses: np.ndarray) -> float:
+    return float(np.sum(velocities * impulses))

@@ -1,0 +1,187 @@
+"""The prober: when it measures, when it does not, and what it costs."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+from fake_world import FakeWorld, press_find, wait_until
+
+import server.prober
+from server.lane import Ask, Frame
+from server.prober import MEASURING, Prober, Stopped
+from sim.probe import LocalError
+from sim.report import StepError
+
+
+class Lane:
+    """Answers at once, in the caller's thread."""
+
+    def __init__(self):
+        self.ready, self.frame, self.asked = True, Frame(), 0
+        self.state = SimpleNamespace(time=0.0, ramp=SimpleNamespace(target=None))
+
+    def send(self, command):
+        assert isinstance(command, Ask)
+        self.asked += 1
+        command.reply(self.state)
+
+
+class Bench:
+    ready = playing = True
+
+    def __init__(self, count=2):
+        self.lanes = [Lane() for _ in range(count)]
+        self.finished = []
+
+    def step(self, ms):
+        self.finished = [Frame(steps=1, ms={"total": ms}, time=1.0) for _ in self.lanes]
+
+
+@pytest.fixture
+def rig(monkeypatch):
+    """A prober whose measurements are numbers that the test says, and that are posted when it says so."""
+    monkeypatch.setattr(server.prober, "SETTLE", 0.0)
+    answers = []
+    rig = SimpleNamespace(errors=[], gate=threading.Event(), done=0, answers=answers, took=0.0)
+
+    def measure(probe, state):
+        rig.gate.wait(20)
+        found = rig.errors.pop(0) if rig.errors else 1e-3
+        if isinstance(found, Exception):
+            raise found
+        return state, LocalError(found, 0.0, 1 / 60, 1.0, took=rig.took)
+
+    monkeypatch.setattr(server.prober, "_measure", measure)
+    monkeypatch.setattr("sim.probe.Probe", lambda world, between: SimpleNamespace(between=between))
+    rig.gate.set()
+    rig.prober = Prober(lambda action, *args: answers.append((action, args)))
+    rig.prober.clear(lambda settings: None, 2)
+
+    def answer():
+        wait_until(lambda: answers)
+        action, args = answers.pop(0)
+        action(*args)
+
+    rig.answer = answer
+    yield rig
+    rig.gate.set()
+    rig.prober.stop()
+
+
+def test_every_variant_is_measured_first_and_then_only_as_often_as_lanes_paid_for(rig):
+    bench = Bench()
+    for _ in range(2):
+        rig.prober.tick(bench, True)
+        rig.answer()
+    assert [lane.asked for lane in bench.lanes] == [1, 1]
+    assert all(reading.found.error == 1e-3 for reading in rig.prober.readings)
+    rig.prober.spent, rig.prober.stepped, rig.prober._took = 0.5, 0.0, 0.5
+    rig.prober.tick(bench, True)
+    assert [lane.asked for lane in bench.lanes] == [1, 1]
+    for _ in range(2):
+        bench.step(0.5 * 1.01e3 / server.prober.SHARE)
+        rig.prober.tick(bench, True)
+    assert [lane.asked for lane in bench.lanes] == [2, 1], "both lanes' steps paid for one more"
+
+
+def test_nothing_is_measured_while_nobody_looks_or_one_is_being_measured(rig):
+    bench = Bench()
+    rig.prober.tick(bench, False)
+    assert [lane.asked for lane in bench.lanes] == [0, 0]
+    rig.prober.tick(bench, True)
+    rig.prober.tick(bench, True)
+    assert [lane.asked for lane in bench.lanes] == [1, 0]
+
+
+def test_a_change_makes_a_reading_stale_and_ends_its_measurement(rig):
+    bench = Bench()
+    rig.gate.clear()
+    rig.prober.tick(bench, True)
+    rig.prober.changed(0)
+    rig.gate.set()
+    rig.answer()
+    assert rig.prober.readings[0] is MEASURING, "what was measured was of other settings"
+    rig.prober.tick(bench, True)
+    rig.answer()
+    assert rig.prober.readings[0].found is not None
+    rig.prober.changed(0)
+    assert rig.prober.readings[0] is MEASURING
+
+
+def test_work_that_nobody_asks_for_any_more_is_stopped_between_two_steps(rig):
+    bench, got, began = Bench(), [], threading.Event()
+
+    def work(probe, state):
+        began.set()
+        rig.gate.wait(20)
+        probe.between()
+        return "done"
+
+    rig.gate.clear()
+    rig.prober.ask(bench, 0, work, got.append)
+    began.wait(20)
+    rig.prober.changed(0)
+    rig.gate.set()
+    rig.answer()
+    assert isinstance(got[0], Stopped)
+
+
+def test_trend_says_whether_errors_grow(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    rig.errors = [1e-3, 2e-3, 2.1e-3, 1e-3]
+    seen = []
+    for _ in range(4):
+        rig.prober.spent = -1.0  # paid for
+        rig.prober.tick(bench, True)
+        rig.answer()
+        seen.append(rig.prober.readings[0].trend)
+    assert seen == ["", "↗", "→", "↘"]
+
+
+def test_a_frame_that_cannot_be_measured_says_why_and_is_tried_again(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    rig.errors = [StepError("too far", "solve", "dt")]
+    rig.prober.tick(bench, True)
+    rig.answer()
+    assert "too far" in rig.prober.readings[0].why_not
+    rig.prober.spent = -1.0
+    rig.prober.tick(bench, True)
+    rig.answer()
+    assert rig.prober.readings[0].found is not None
+
+
+def test_in_a_pause_each_new_state_is_measured_once(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    bench.playing = False
+    for time in (0.0, 0.5):
+        bench.lanes[0].frame = Frame(time=time)
+        bench.lanes[0].state.time = time
+        rig.prober.tick(bench, True)
+        rig.answer()
+        for _ in range(3):
+            rig.prober.tick(bench, True)
+    assert bench.lanes[0].asked == 2
+
+
+def test_a_simulation_without_states_is_not_asked_over_and_over(lab, client):
+    wait_until(lambda: lab._prober.readings[0].why_not or lab._prober.readings[1].why_not)
+    assert lab._prober._build is None
+    assert len(FakeWorld.made) == 2, "and none was built for measuring"
+
+
+def test_a_budget_that_cannot_be_worked_out_says_so_and_time_goes_on(lab, client):
+    press_find(client, "time per frame [ms]", 3.0)
+    wait_until(lambda: "no state to measure from" in lab._page.charts.budget._answer.content)
+    wait_until(lambda: lab._bench.playing)
+
+
+@pytest.mark.parametrize("nonsense", [0.0, -1.0, float("nan"), float("inf"), True, "many", None])
+def test_a_budget_is_a_positive_number_whatever_a_client_sends(lab, client, nonsense):
+    before = lab._page.charts.budget._most.value
+    client.set(client.find("at most"), nonsense)
+    client.set(client.find("rest angle θ₀ [rad]"), 0.3)
+    wait_until(lambda: lab.comparison.shared.rest_angle == 0.3)
+    assert lab._page.charts.budget._most.value == before
