@@ -19,7 +19,7 @@ SLOW = 5e-3
 one vertex at a time would strain the springs between them."""
 
 STEADY = 0.7
-"""Part of its slip that a sliding contact is expected to keep in a step at least, or it may be held too much."""
+"""Part of its slip that a sliding contact is expected to keep in a step at least; less may be too little."""
 
 EXCESS = 1.001
 """Friction this many times what the cone allows is worth another solve."""

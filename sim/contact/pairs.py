@@ -148,7 +148,7 @@ class Pairs:
         return weight
 
     def _as_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:
-        """Which of these pairs are of one piece and as near at rest: within the thickness, or within reach."""
+        """Which of these pairs are of one piece and as near at rest: within the thickness, or the reach."""
         rest, pieces, node = self._mesh.rest_vertices, self._mesh.pieces, pairs.node[close]
         inside = np.minimum(node, self._n - 1)
         alike = np.flatnonzero(

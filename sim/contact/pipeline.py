@@ -338,7 +338,7 @@ class Pipeline:
         solution: Solution,
         last: bool,
     ) -> tuple[Solution, Touch] | None:
-        """Impulses and friction of contacts, of which the solve felt some and left `crept` (c,) [N s] to rub."""
+        """Impulses and friction of contacts; the solve `felt` some, and left `crept` (c,) [N s] to rub."""
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
         solution = replace(
             solution, positions=solution.positions.copy(), velocities=solution.velocities.copy()
