@@ -17,7 +17,10 @@ NEEDS: dict[str, tuple[Callable[[Settings], bool], str]] = {
     "newton": (lambda s: s.integrator != "symplectic_euler", "an explicit step solves nothing"),
     "tolerance": (lambda s: s.integrator != "symplectic_euler", "an explicit step solves nothing"),
     "compensate": (lambda s: s.gamma > 0, "there is no damping to reduce"),
-    "seed": (lambda s: s.jitter > 0, "nothing is random without start jitter"),
+    "wind": (lambda s: s.drag > 0, "there is no drag"),
+    "lift": (lambda s: s.drag > 0, "there is no drag"),
+    "gust": (lambda s: s.drag > 0 and any(s.wind), "there is no wind, or no drag"),
+    "seed": (lambda s: s.jitter > 0 or s.gust > 0, "nothing is random without gusts or start jitter"),
 }
 """What a setting needs to act, and what to say where that is missing. Settings not listed always act."""
 

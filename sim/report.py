@@ -52,6 +52,7 @@ class StepReport:
         energy_injected: By changes of settings since the step before [J].
         energy_jumps: Springs that began or ceased to act at the end of the step, as their kind chose.
         energy_jump: What these put in [J].
+        wind_work: Work that the air did on the cloth [J], by its force and the velocities at the end.
     """
 
     ms: dict[str, float] = field(default_factory=dict)
@@ -79,6 +80,7 @@ class StepReport:
     energy_injected: float = 0.0
     energy_jumps: int = 0
     energy_jump: float = 0.0
+    wind_work: float = 0.0
     _within: float = field(default=0.0, repr=False)
 
     @contextmanager

@@ -133,7 +133,9 @@ class Simulation:
         return linear.sum(axis=0), np.cross(self._positions, linear).sum(axis=0)
 
     def forces(self) -> np.ndarray:
-        """(n, 3) elastic, damping and gravity forces [N] at the present state, contact left out."""
+        """(n, 3) elastic, damping, gravity and wind forces [N] at the present state, contact left out."""
+        if self.model.wind is not None:
+            self.model.wind.blow(self.settings, self._time, self._positions)
         return self.model.forces(self._positions, self._velocities)
 
     def obstacle_poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -238,6 +240,8 @@ class Simulation:
             raise
         report.energy_injected, self._injected = self._injected, 0.0
         report.moved = self._longest_way(solution.positions)
+        if self.model.wind is not None:
+            report.wind_work = self.settings.dt * self.model.wind.power(solution.velocities)
         self._accept(solution, touch, report)
         with report.phase("report"):
             if self.scene.obstacle:
@@ -258,6 +262,9 @@ class Simulation:
             return solution
 
         state = self.settings, self._time, self._positions, self._velocities
+        if (wind := self.model.wind) is not None:
+            half = 0.5 * self.settings.dt  # the middle of a step stands for all of it to second order
+            wind.blow(self.settings, self._time + half, self._positions + half * self._velocities)
         with np.errstate(over="ignore", invalid="ignore"):  # a step that blows up is refused below
             try:
                 solution, touch = self.contact.through(*state, solve, report)

@@ -338,6 +338,8 @@ class Pipeline:
         mass, speed = self._model.masses, np.linalg.norm(contacts.speed, axis=1)
         moved = np.unique(contacts.node[contacts.weight != 0.0])
         work = (1.0 + way.settings.friction) * float(pressed @ speed)
+        if self._model.wind is not None:
+            work += way.settings.dt * max(self._model.wind.power(solution.velocities), 0.0)
         thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
         weight = float(np.linalg.norm(way.settings.gravity))
         lifted = 0.5 * RECOVERY_SPEED**2 + way.settings.thickness * weight

@@ -103,7 +103,8 @@ def backward_euler(
         at, change = x_hat + h * velocities, v_hat - velocities
         loose = model.loose(contacts.contacts)
         exact = newton > filtered
-        forces = model.linearise(at, velocities, contacts, h, exact)
+        lag = v_hat if newton == 1 else velocities  # the first iterate stands still, which air would not feel
+        forces = model.linearise(at, velocities, contacts, h, exact, lag)
         linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         if exact and linear.broken:
             exact, forces = False, model.linearise(at, velocities, contacts, h)
@@ -114,7 +115,7 @@ def backward_euler(
             known = linear.step, np.zeros_like(guess)
             linear = _solve(model, loose, settings, forces, change, *known, h)
             if exact and linear.broken:  # what the first solve did not come across, this one may
-                forces = model.linearise(at, velocities, contacts, h)
+                forces = model.linearise(at, velocities, contacts, h, lag=lag)
                 linear = _solve(model, loose, settings, forces, change, *known, h)
             iterations += linear.iterations
         if linear.broken:
@@ -221,7 +222,7 @@ def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) ->
             damping_along(e, velocities, step)
             for e in (*(s.elements for s in model.springs), contacts.elements)
         ),
-        np.zeros(3),
+        np.zeros(3) if model.wind is None else model.wind.along(velocities, step),
     )
 
     def potential(t: float) -> float:
