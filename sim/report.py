@@ -52,6 +52,8 @@ class StepReport:
         energy_injected: By changes of settings since the step before [J].
         energy_jumps: Springs that began or ceased to act at the end of the step, as their kind chose.
         energy_jump: What these put in [J].
+        strain: Largest strain of an edge that strain limiting left; contact may add to it.
+        limited: Edges that it pulled at.
         wind_work: Work that the air did on the cloth [J], by its force and the velocities at the end.
     """
 
@@ -80,6 +82,8 @@ class StepReport:
     energy_injected: float = 0.0
     energy_jumps: int = 0
     energy_jump: float = 0.0
+    strain: float = 0.0
+    limited: int = 0
     wind_work: float = 0.0
     _within: float = field(default=0.0, repr=False)
 

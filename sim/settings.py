@@ -182,6 +182,21 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             ramps=True,
         ),
     ] = 1e-4
+    strain_limit: Annotated[
+        float,
+        number(
+            "",
+            "Cloth",
+            "Largest strain of an edge: impulses after the solve keep it there, before contact is answered. "
+            "Zero lets springs alone decide.",
+            ge=0.0,
+            le=1.0,
+            slider=(0.0, 0.2),
+            label="strain limit",
+            formula="|l / l₀ − 1| ≤ limit, where l > l₀",
+            cost="nothing while no edge is at it, then up to as much as the solve",
+        ),
+    ] = 0.0
     mass: Annotated[
         Literal["area", "constant"],
         choice(

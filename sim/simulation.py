@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
 from sim.threads import processor_threads
+
+if TYPE_CHECKING:
+    from sim.strain import Limit
 
 FASTEST = 1e6
 """A step that ends with a vertex faster than this [m/s] is refused: it has blown up."""
@@ -71,6 +74,7 @@ class Simulation:
         self._time = 0.0
         self._injected = 0.0
         self._limit: float | None = None
+        self._edges: Limit | None = None
         self.model.forget(self._positions)
 
     def _start(self) -> np.ndarray:
@@ -259,6 +263,8 @@ class Simulation:
                 solution, report.integrator = take_step(self.model, springs, *way)
             except SolveError as error:
                 raise StepError(str(error), "solve", self._suspect()) from None
+            if settings.strain_limit > 0.0:
+                self._limit_strain(settings, solution, report)
             return solution
 
         state = self.settings, self._time, self._positions, self._velocities
@@ -277,6 +283,17 @@ class Simulation:
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
         return solution, touch
+
+    def _limit_strain(self, s: Settings, end: Solution, report: StepReport) -> None:
+        """Let no edge of the `end` of a step be longer than it may."""
+        with report.phase("limit"):
+            from sim.strain import make_limit, shorten  # which a step without a limit does without
+
+            if self._edges is None:
+                self._edges = make_limit(self.mesh.edges, self.mesh.rest_vertices)
+            about = self._edges, s.strain_limit, self.model.inverse_masses
+            found = shorten(*about, s.dt, end.positions, end.velocities)
+            report.strain, report.limited = found
 
     def _longest_way(self, end: np.ndarray) -> float:
         """How far [m] the step to `end` takes the vertex or the point of an obstacle that goes farthest.

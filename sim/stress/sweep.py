@@ -197,7 +197,7 @@ class Watch:
         quiet = report.contacts == 0 and report.energy_injected == 0.0 and report.energy_jumps == 0
         model = self.trial.world.model
         searched = s.integrator == "backward_euler" and s.newton > 1 and model.conservative
-        return quiet and searched and model.wind is None
+        return quiet and searched and model.wind is None and report.limited == 0
 
     def _contact(self, before: np.ndarray, report: StepReport) -> None:
         world, s = self.trial.world, self.trial.world.settings
