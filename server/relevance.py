@@ -11,6 +11,8 @@ NEEDS: dict[str, tuple[Callable[[Settings], bool], str]] = {
     "bending": (lambda s: s.bend != "none", "there are no bending springs"),
     "altitude": (lambda s: s.altitudes != "none", "there are no altitude springs"),
     "adhoc_rule": (lambda s: s.bend == "adhoc", "the bending spring is not adhoc"),
+    "obstacles": (lambda s: s.contact != "none", "the collision method is none"),
+    "self_collision": (lambda s: s.contact != "none", "the collision method is none"),
     "detection": (lambda s: s.contact != "none", "the collision method is none"),
     "thickness": (lambda s: s.contact != "none", "the collision method is none"),
     "friction": (lambda s: s.contact != "none", "the collision method is none"),

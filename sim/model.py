@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from sim.contact.contacts import Contacts
 from sim.contact.gap import GapSprings
 from sim.damping import damping_ratios
+from sim.effects import SPRINGS
 from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
@@ -39,6 +41,7 @@ class Model:
         piece_masses: (pieces,) [kg].
         springs: one per kind in force.
         wind: The air, where it acts.
+        costs: Milliseconds spent on each effect, added up.
         matrix: A, filled by `linearise`.
         coupling: What contacts add to A between vertices.
         preconditioner: of A, refreshed for each solve.
@@ -54,6 +57,7 @@ class Model:
         self.axis = mesh.axis
         self._forces = np.zeros((n, 3))
         self.wind: Wind | None = None
+        self.costs: dict[str, float] = {}
         self.damping_ratios = damping_ratios(settings)
         self._set_masses()
         self._set_springs()
@@ -122,7 +126,7 @@ class Model:
         self._forces[:] = self.masses[:, None] * np.asarray(self.settings.gravity)
         reset(self.matrix, self.masses)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
-            elements = springs.elements
+            begin, elements = perf_counter(), springs.elements
             curvature = springs.curvature(positions) if exact else None
             bends = NONE if curvature is not None else BENDS[springs.kind.bends]
             linearise(elements, velocities, self.inverse_masses, self.damping_ratios, h, bends)
@@ -130,9 +134,12 @@ class Model:
             if curvature is not None:
                 add_curvature(elements, gather, curvature, h, self.matrix)
             add_forces(elements, gather, self._forces)
+            self._spent(SPRINGS[springs.kind.stiffness], begin)
         if self.wind is not None:
+            begin = perf_counter()
             self.wind.measure(positions, velocities if lag is None else lag)
             self.wind.linearise(velocities, h, self.matrix, self._forces)
+            self._spent("wind", begin)
         if self.axis is not None:
             confine(self.matrix, self.masses, self.axis, self._forces)
         self.coupling = contacts.linearise(positions, velocities, h, self.matrix, self._forces)
@@ -203,7 +210,13 @@ class Model:
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate every spring's coordinate and gradient at `positions`."""
         for springs in self.springs:
+            begin = perf_counter()
             springs.measure(positions)
+            self._spent(SPRINGS[springs.kind.stiffness], begin)
+
+    def _spent(self, effect: str, begin: float) -> None:
+        """Book the time since `begin` for an effect."""
+        self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (perf_counter() - begin)
 
     def remember(self, positions: np.ndarray, springs: list[Springs] | None = None) -> tuple[int, float]:
         """Accept `positions`: what the coordinates remember of them is kept, and kinds choose who acts next.

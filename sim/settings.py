@@ -299,12 +299,30 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="continuous costs a few times static",
         ),
     ] = "continuous"
+    obstacles: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            "Contact",
+            "Whether cloth feels obstacles.",
+            choices=lambda: {
+                "auto": "looked at in steps in which one may be within reach; the others give the same cloth",
+                "on": "looked at in every step",
+                "off": "cloth goes through them",
+            },
+            label="obstacles",
+            cost="a few per cent of a step near one; auto makes it next to nothing elsewhere",
+        ),
+    ] = "auto"
     self_collision: Annotated[
         Literal["auto", "on", "off"],
         choice(
             "Contact",
-            "Whether cloth feels cloth: all its vertices, edges and triangles, of one piece or several. "
-            "auto does wherever a collision method is chosen.",
+            "Whether cloth feels cloth: all its vertices, edges and triangles, of one piece or several.",
+            choices=lambda: {
+                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
+                "on": "all pairs are found anew and looked at every time",
+                "off": "cloth goes through cloth",
+            },
             label="self-collision",
             cost="from a tenth to half of the step",
         ),

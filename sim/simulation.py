@@ -7,6 +7,7 @@ it was. The same scene, settings and seed give the same bits, on any number of t
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from sim.contact.broad import CandidateError
 from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
-from sim.effects import effects
+from sim.effects import EFFECTS, Told, chosen, state
 from sim.integrators import INTEGRATORS, State
 from sim.mesh import build_mesh
 from sim.model import Model
@@ -55,16 +56,22 @@ class Simulation:
 
     Args:
         scene: A loaded scene, a path, the name of a scene that comes with Muslin, or a dict.
+        effects: Those that are forced "on" or "off", by name, whatever scene and overrides have.
         overrides: Settings that differ from the scene's.
 
     Raises:
         SceneError: For a scene that cannot be used.
-        ValueError: For an override out of bounds: names field, value and bounds.
+        ValueError: For an override out of bounds: names field, value and bounds; and for a wrong effect.
     """
 
-    def __init__(self, scene: Scene | str | Path | dict[str, Any], **overrides: Any) -> None:
+    def __init__(
+        self,
+        scene: Scene | str | Path | dict[str, Any],
+        effects: Mapping[str, str] | None = None,
+        **overrides: Any,
+    ) -> None:
         self.scene = load_scene(scene)
-        self._ramp = Ramp.done(change(self.scene.settings, **overrides))
+        self._ramp = Ramp.done(chosen(change(self.scene.settings, **overrides), effects or {}))
         self.mesh = build_mesh(self.scene)
         self.model = Model(self.mesh, self.settings)
         self.contact = Pipeline(self.scene, self.model)
@@ -75,6 +82,7 @@ class Simulation:
         self._injected = 0.0
         self._limit: float | None = None
         self._edges: Limit | None = None
+        self._told = Told()
         self.model.forget(self._positions)
 
     def _start(self) -> np.ndarray:
@@ -85,6 +93,11 @@ class Simulation:
     def settings(self) -> Settings:
         """The settings that hold, or that are gone over to. Immutable; `update` replaces them."""
         return self._ramp.target
+
+    @property
+    def effects(self) -> dict[str, str]:
+        """Whether each effect is "on", "off" or "auto"."""
+        return {name: state(name, self.settings) for name in EFFECTS}
 
     @property
     def time(self) -> float:
@@ -169,6 +182,15 @@ class Simulation:
         self._go_over(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings))
         self._previous = self._limit = None
 
+    def switch(self, **changes: Any) -> None:
+        """Change settings at once, as `update` without its way of going over; for comparisons, not for eyes.
+
+        Raises:
+            ValueError: names field, value and bounds.
+        """
+        self._go_over(Ramp.done(change(self.settings, **changes)))
+        self._previous = self._limit = None
+
     def _go_over(self, ramp: Ramp) -> None:
         """Put the settings of `ramp` in force, and book the energy that this puts in."""
         before = sum(self.energy().values())
@@ -232,6 +254,7 @@ class Simulation:
             StepError: where the step cannot be done; the state is as it was.
         """
         report, ramp, injected = StepReport(), self._ramp, self._injected
+        self.model.costs = report.costs
         try:
             if not ramp.over:
                 self._go_over(ramp.after(self.settings.dt))
@@ -248,7 +271,7 @@ class Simulation:
             report.wind_work = self.settings.dt * self.model.wind.power(solution.velocities)
         self._accept(solution, touch, report)
         with report.phase("report"):
-            if self.scene.obstacle:
+            if self.scene.obstacle and self.settings.obstacles != "off":
                 depths = self.contact.depths(self._time, self._positions)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             report.effects = self._effects(report)
@@ -286,7 +309,7 @@ class Simulation:
 
     def _limit_strain(self, s: Settings, end: Solution, report: StepReport) -> None:
         """Let no edge of the `end` of a step be longer than it may."""
-        with report.phase("limit"):
+        with report.phase("limit"), report.spent("strain_limiting"):
             from sim.strain import make_limit, shorten  # which a step without a limit does without
 
             if self._edges is None:
@@ -342,7 +365,8 @@ class Simulation:
             self._limit = None
         elif self._limit is None:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
-        return effects(self.settings, self.model, report, bool(self.scene.obstacle), self._limit)
+        about = self.settings, self.model, report, bool(self.scene.obstacle), self._limit
+        return self._told.tell(*about)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
