@@ -254,8 +254,9 @@ def attack(seed, steps=6):
     made, random = adversary(seed)
     pair = Pair(made)
     for k in range(steps):
-        if k % 3 == 0:  # at all speeds, from rest to farther than everything in a step
-            speed = float(10 ** random.uniform(-4, 1.5)) * random.integers(0, 2)
+        if k % 3 == 0:  # at all speeds, most of them such that a step goes about as far as the thickness
+            settings = pair.auto.settings
+            speed = settings.thickness / settings.dt * float(10 ** random.uniform(-1.5, 1.5))
             common = random.uniform(-1, 1, 3) * 10 ** random.uniform(-2, 1.5)
             velocities = random.normal(0, speed, pair.auto.positions.shape) + common
             pair.auto.place(pair.auto.positions + random.normal(0, 1e-3, velocities.shape), velocities)
