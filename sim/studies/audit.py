@@ -140,8 +140,7 @@ class _Audit:
             self.told(0.8 * part, f"steps {first + 1} to {first + count}")
             self._window(count)
         self.told(0.8, "what can be left out together")
-        whole = median(ms for way in self.base for ms in way.ms)
-        left_out, apart, ms = self._together(start)
+        left_out, apart, whole, ms = self._together(start)
         return AuditReport(
             scene=self.scene.name,
             seconds=self.steps * self.settings.dt,
@@ -151,7 +150,7 @@ class _Audit:
             numerical_error=max(self.error),
             windows=len(self.error),
             ms=whole,
-            effects=[self._effect(name, whole) for name in EFFECTS],
+            effects=[self._effect(name) for name in EFFECTS],
             recommended=dict.fromkeys(left_out, "off"),
             recommended_ms=ms,
             recommended_error=apart,
@@ -222,19 +221,20 @@ class _Audit:
         words = [report.effects[name] for way in self.base for report in way.reports]
         return sum(word.startswith("ran") for word in words) / len(words)
 
-    def _share(self, name: str, whole: float) -> float:
+    def _share(self, name: str) -> float:
         """What a step with the effect costs more than without, as part of the step as it is."""
+        whole = median(ms for way in self.base for ms in way.ms)
         other = median(self.seen[name].ms or [whole])
         return (other - whole if self.now[name] == "off" else whole - other) / whole
 
-    def _effect(self, name: str, whole: float) -> AuditedEffect:
+    def _effect(self, name: str) -> AuditedEffect:
         seen, reports = self.seen[name], [report for way in self.base for report in way.reports]
         clear = seen.worse or max(seen.ratio) > CLEAR
         return AuditedEffect(
             name=name,
             now=self.now[name],
             verdict=MATTERS if clear else BELOW if max(seen.ratio) < 1.0 else UNCERTAIN,
-            cost_share=self._share(name, whole),
+            cost_share=self._share(name),
             own_ms=median(report.costs.get(name, 0.0) for report in reports),
             influence=_finite(max(seen.influence)),
             errors=_finite(max(seen.ratio)),
@@ -242,8 +242,8 @@ class _Audit:
             why=reports[-1].effects[name] + "; without it cloth gets into something" * seen.worse,
         )
 
-    def _together(self, start: Snapshot) -> tuple[list[str], float, float]:
-        """The effects to leave out, how far this takes the cloth, and the milliseconds of a step then.
+    def _together(self, start: Snapshot) -> tuple[list[str], float, float, float]:
+        """The effects to leave out, how far this takes the cloth, and milliseconds of a step with and without.
 
         Candidates ran, change less than the tolerance and keep cloth out of nothing. Those that change most
         are kept after all until the whole run stays within the tolerance without the others.
@@ -261,9 +261,9 @@ class _Audit:
             way = self._steps(start, changes, self.steps)
             apart = self._apart(way, as_is)
             if apart <= self.tolerance and way.inside <= as_is.inside and way.crossed <= as_is.crossed:
-                return left, apart, median(way.ms)
+                return left, apart, median(as_is.ms), median(way.ms)
             left.pop()
-        return [], 0.0, median(as_is.ms)
+        return [], 0.0, median(as_is.ms), median(as_is.ms)
 
     def _toml(self, left: Sequence[str], whole: float, ms: float, apart: float) -> str:
         """The recommended block of a scene file, with its figures in a comment."""

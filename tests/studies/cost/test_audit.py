@@ -69,7 +69,7 @@ def test_the_recommended_block_loads_and_says_what_it_was_measured_with(audited)
 
 def test_an_audit_of_the_same_gives_the_same_but_for_times(audited):
     cloth = grid(size=(0.3, 0.3), resolution=(5, 5), position=[0.0, 0.0, 0.22])
-    one, other = (audit(scene(cloth, ball(radius=0.2), gravity=EARTH), seconds=0.1) for _ in range(2))
+    one, other = (audit(scene(cloth, ball(radius=0.2), gravity=EARTH), seconds=0.04) for _ in range(2))
     assert [(e.influence, e.errors, e.verdict) for e in one.effects] == [
         (e.influence, e.errors, e.verdict) for e in other.effects
     ]
