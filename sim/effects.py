@@ -139,7 +139,7 @@ class Told:
 
     Attributes:
         skipped: Steps in a row in which an effect was skipped, by its name.
-        usual: Milliseconds that it took in the last step that it was not.
+        usual: The least milliseconds that it took in a step that it was not.
     """
 
     def __init__(self) -> None:
@@ -181,8 +181,8 @@ class Told:
         took = report.costs.get(name, 0.0)
         if not words.startswith("skipped"):
             self.skipped[name] = 0
-            if words.startswith("ran"):
-                self.usual[name] = took
+            if words.startswith("ran"):  # the least, as the first time may have compiled something
+                self.usual[name] = min(took, self.usual.get(name, math.inf))
             return ""
         self.skipped[name] = self.skipped.get(name, 0) + 1
         many = f" for {self.skipped[name]} steps" if self.skipped[name] > 1 else ""

@@ -127,19 +127,23 @@ class BroadPhase:
 
 @kernel
 def strayed(positions, places):
-    """How far the farthest vertex is from its place [m], where all may have gone together any way."""
-    mean, most = np.zeros(3), 0.0
+    """How far the farthest vertex is from its place [m], or from that moved along with all of them if less."""
+    mean, most, together = np.zeros(3), 0.0, 0.0
     for i in range(len(positions)):
         for r in range(3):
             mean[r] += positions[i, r] - places[i, r]
     mean /= len(positions)
     for i in range(len(positions)):
-        square = 0.0
+        square = aside = 0.0
         for r in range(3):
-            square += (positions[i, r] - places[i, r] - mean[r]) ** 2
+            way = positions[i, r] - places[i, r]
+            square += way * way
+            aside += (way - mean[r]) ** 2
         if not square <= most:
             most = square
-    return np.sqrt(most)
+        if not aside <= together:
+            together = aside
+    return np.sqrt(most if most < together else together)  # which is nan where any number is
 
 
 @kernel

@@ -243,7 +243,7 @@ class _Audit:
         )
 
     def _together(self, start: Snapshot) -> tuple[list[str], float, float, float]:
-        """The effects to leave out, how far this takes the cloth, and milliseconds of a step with and without.
+        """The effects to leave out, how far this takes the cloth, and a step's milliseconds with and without.
 
         Candidates ran, change less than the tolerance and keep cloth out of nothing. Those that change most
         are kept after all until the whole run stays within the tolerance without the others.
