@@ -127,7 +127,7 @@ class BroadPhase:
 
 @kernel
 def strayed(positions, places):
-    """How far the farthest vertex is from its place [m], or from that moved along with all of them if less."""
+    """How far the farthest vertex is from its place [m], or from that moved along with all, if less."""
     mean, most, together = np.zeros(3), 0.0, 0.0
     for i in range(len(positions)):
         for r in range(3):
