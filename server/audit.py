@@ -30,7 +30,7 @@ def audit_result(report: AuditReport) -> Result:
         "ran [%]",
         "last step",
     )
-    effects = sorted(report.effects, key=lambda e: (e.now == "off", -(e.influence or float("inf"))))
+    effects = sorted(report.effects, key=lambda e: (e.now == "off", -_moves(e)))
     about = f"numerical error {percent(report.numerical_error)}; {report.ms:.3g} ms per step as it is"
     caption = f"Every effect left out, or brought in where it is off ({KEPT}: matters); {about}"
     table = Table(caption, columns, tuple(map(_row, effects)))
@@ -51,6 +51,11 @@ def _row(effect: AuditedEffect) -> tuple[str | float | None, ...]:
     )
 
 
+def _moves(effect: AuditedEffect) -> float:
+    """How far the cloth goes without an effect, infinitely where it cannot do without."""
+    return float("inf") if effect.influence is None else effect.influence
+
+
 def sentence(report: AuditReport) -> str:
     """What to do about it."""
     if not report.recommended:
@@ -69,13 +74,13 @@ def sentence(report: AuditReport) -> str:
 def audit_figures(report: AuditReport) -> Figures:
     """Influence beside cost, a pair of bars for each effect that the scene has."""
     known = [e for e in report.effects if e.now != "off" and e.ran > 0.0]
-    known.sort(key=lambda e: e.influence or float("inf"))
+    known.sort(key=_moves)
     if not known:
         return {}
     with rc_context(LOOKS):
         figure, axes = axes_for((12.0, 2.0 + 0.5 * len(known)))
         for i, effect in enumerate(known):
-            width = max(effect.influence or 1.0, SMALLEST)
+            width = min(max(_moves(effect), SMALLEST), 1.0)
             axes.barh(i, width, color=STONE.css, edgecolor=INK.css, hatch=HATCHES[0], height=0.6)
             words = (
                 f"  {percent(effect.influence)}" if effect.influence is not None else "  cannot be left out"

@@ -84,7 +84,7 @@ def test_it_only_pulls():
 def test_contact_keeps_its_promise_with_a_limit():
     """Soft cloth falls on a ball and on itself: nothing inside, nothing crossed, and hardly too long."""
     cloth = grid((0.8, 0.8), (15, 15), position=[0.0, 0.0, 0.35])
-    soft = {"stretch": 5.0, "gravity": EARTH, "strain_limit": 0.1, "self_collision": "on"}
+    soft = {"stretch": 5.0, "gravity": EARTH, "strain_limit": 0.1, "self_collision": "auto"}
     world = sim.Simulation(
         scene(cloth, ball((0.1, 0.05, 0.0), 0.25), {"kind": "plane", "point": [0, 0, -0.3]}, **soft)
     )
