@@ -273,6 +273,43 @@ class Compare:
 
 
 @dataclass(kw_only=True)
+class Audit:
+    """Leave out each effect of a scene in turn: which it needs, what each one costs and changes."""
+
+    scene: Annotated[str, Positional, arg(metavar="SCENE")] = ""
+    """A scene file, or one of `muslin scenes`."""
+    seconds: float = 1.0
+    """Time to simulate [s]."""
+    overrides: Annotated[UseAppendAction[tuple[Texts, ...]], arg(name="set", metavar="NAME=VALUE ...")] = ()
+    """Settings that differ from the scene's."""
+    tolerance: float = 0.01
+    """How far all that is left out may move the cloth, as part of its diagonal."""
+    json: Annotated[str | None, arg(metavar="FILE.json")] = None
+    """Write all numbers as JSON, with hardware and versions."""
+    html: Annotated[str | None, arg(metavar="FILE.html")] = None
+    """Write a page with a plot and the table that needs no network."""
+    schema: bool = False
+    """Only print the JSON schema of what --json writes."""
+
+    def __call__(self) -> int:
+        """Do it and return the exit code."""
+        from server.cost import print_schema, run_study
+
+        if self.schema:
+            return print_schema("audit")
+        scene, overrides = _scene_and_settings(self.scene, self.overrides)
+
+        def measure(progress):
+            from sim.studies.audit import audit
+
+            return audit(scene, overrides, self.seconds, self.tolerance, progress)
+
+        options = {"seconds": self.seconds, "tolerance": self.tolerance}
+        command = _command("audit", self.scene, self.overrides, **options)
+        return run_study(measure, command, self.json, self.html, None)
+
+
+@dataclass(kw_only=True)
 class Stress:
     """Run the battery of hard cases: what each measured, held against its mark."""
 
@@ -314,6 +351,7 @@ COMMANDS = {
     "scenes": Scenes,
     "cost": Cost,
     "compare": Compare,
+    "audit": Audit,
     "stress": Stress,
     "study": Study,
     "bench": Bench,
@@ -404,7 +442,7 @@ def _parse(arguments: list[str]):
     try:
         with contextlib.redirect_stderr(problem):
             return tyro.cli(
-                Lab | Run | Check | Scenes | Cost | Compare | Stress | Study | Bench,
+                Lab | Run | Check | Scenes | Cost | Compare | Audit | Stress | Study | Bench,
                 prog="muslin",
                 description=DESCRIPTION,
                 args=arguments,

@@ -1,4 +1,4 @@
-"""`muslin cost` and `muslin compare` without a page: measure, print, and write JSON, a page and plots."""
+"""`muslin cost`, `compare` and `audit` without the lab: measure, print, and write JSON, a page and plots."""
 
 from __future__ import annotations
 
@@ -25,9 +25,7 @@ from sim.studies import Result
 
 if TYPE_CHECKING:
     from server.figures import Figures
-    from sim.studies.cost.report import CompareReport, CostReport
-
-    Report = CostReport | CompareReport
+    from server.pages import Report
 
 PLOTS = (".png", ".svg")
 """Files of each plot."""

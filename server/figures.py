@@ -156,7 +156,8 @@ def _saved(figure: Figure, kind: str) -> bytes:
     return stream.getvalue()
 
 
-def _axes(size: tuple[float, float] = WIDE) -> tuple[Figure, Axes]:
+def axes_for(size: tuple[float, float] = WIDE) -> tuple[Figure, Axes]:
+    """A figure of this size [inches] and its axes, with a quiet grid."""
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     axes.grid(True, which="major", color="0.9", linewidth=0.8)
@@ -194,7 +195,7 @@ def _line(
 
 
 def _work_precision(report: CostReport, cost: Callable[[Run], float], across: str, on: str) -> Figure:
-    figure, axes = _axes()
+    figure, axes = axes_for()
     worked = [run for run in report.runs if cost(run) > 0.0]
     _front(axes, [(cost(run), run.error) for run in worked if getattr(run, on)])
     names = [c.name.removesuffix(f", {SOLVED}") for c in report.curves if c.name.endswith(SOLVED)]
@@ -262,7 +263,7 @@ def _advised(report: CostReport) -> Run:
 
 
 def _knobs(report: CostReport) -> Figure:
-    figure, axes = _axes()
+    figure, axes = axes_for()
     for i, name in enumerate((STEP, NEWTON, TOLERANCE)):
         points = [(_place(run, name), run.ms * FRAME, run.error) for run in report.runs if name in run.curves]
         if len(points) > 1:
@@ -297,7 +298,7 @@ def _place(run: Run, curve: str) -> float:
 
 
 def _sources(report: CostReport) -> Figure:
-    figure, axes = _axes((12.0, 4.5))
+    figure, axes = axes_for((12.0, 4.5))
     known = [(s.source, s.what, s.change) for s in report.sources if s.change]
     known.sort(key=lambda row: row[2])
     for i, (_, what, change) in enumerate(known):
@@ -326,7 +327,7 @@ def _phases(report: CostReport) -> Figure:
 
 def _bars(rows: Sequence[tuple[str, dict[str, float]]]) -> Figure:
     """Milliseconds per frame by phase, stacked."""
-    figure, axes = _axes((12.0, 2.2 + 0.55 * len(rows)))
+    figure, axes = axes_for((12.0, 2.2 + 0.55 * len(rows)))
     phases = list(dict.fromkeys(name for _, spent in rows for name in spent))
     left = [0.0] * len(rows)
     for k, phase in enumerate(phases):
@@ -348,7 +349,7 @@ def _bars(rows: Sequence[tuple[str, dict[str, float]]]) -> Figure:
 
 
 def _horizon(report: CostReport) -> Figure:
-    figure, axes = _axes()
+    figure, axes = axes_for()
     lines = [
         (report.growth.times, report.growth.distance, f"{report.growth.members} runs moved by a hair", 1),
         (report.reference.times, report.reference.floor_by_time, "floor of the reference", 0),
@@ -394,7 +395,7 @@ def _bands(report: CostReport) -> Figure:
 
 
 def _variants(report: CompareReport) -> Figure:
-    figure, axes = _axes()
+    figure, axes = axes_for()
     for i, v in enumerate(report.variants):
         if v.ms is not None and v.error:
             _line(axes, [(v.ms * FRAME, v.error)], i, v.name)

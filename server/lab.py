@@ -24,9 +24,10 @@ from server.page import READ_EVERY, Page
 from server.palette import MAX_VARIANTS
 from server.prober import Prober
 from server.ringdown import RingDown, measure_damping
+from sim.effects import EFFECTS, switch
 from sim.mesh import build_mesh
 from sim.scene import Scene, SceneError, load_scene, scene_files
-from sim.settings import Settings
+from sim.settings import FIELDS, Settings
 
 _log = logging.getLogger(__name__)
 
@@ -203,6 +204,24 @@ class Lab:
         for i in range(len(self._bench.lanes)):
             self._bench.change(i, name, value, self._comparison.settings(i))
             self._prober.changed(i)
+
+    def switch_effect(self, name: str, choice: str) -> None:
+        """Have an effect in all variants "auto", "on" or "off"."""
+        now = self._comparison.settings(0)
+        for setting, value in switch(name, choice, now, self._scene.settings).items():
+            if setting == self._comparison.by:
+                self.say(f"{FIELDS[setting].label} is what the cloths differ in: change it in each of them")
+            self.set_shared(setting, value)
+        self._page.panel.show_comparison(self._comparison)
+
+    def show_effect(self, name: str) -> None:
+        """Put a cloth without an effect beside one that has it; starts again."""
+        now = self._comparison.settings(0)
+        having = switch(name, "auto", now, self._scene.settings)
+        ((setting, without),) = EFFECTS[name].off.items()
+        values = having.get(setting, getattr(now, setting)), without
+        self._comparison = Comparison(self._comparison.shared, setting, values)
+        self._open()
 
     def set_own(self, index: int, value: Any) -> None:
         """Change the compared setting of one variant."""

@@ -1,4 +1,4 @@
-"""Reports of cost and comparison as tables for a terminal, and as a page that needs nothing but itself."""
+"""Reports of cost, comparison and audit as tables for a terminal, and as a page that needs no network."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from functools import cache
 
 from jinja2 import Environment, PackageLoader, Template, select_autoescape
 
+from server.audit import audit_figures, audit_result, sentence
 from server.benchmark import conditions
 from server.figures import Figures, compare_figures, cost_figures, inline_svg
 from server.study import cell_text
 from sim.studies import Cell, Result, Table
 from sim.studies.cost.measures import UNITS
-from sim.studies.cost.report import CompareReport, CostReport, Run, Variant
+from sim.studies.cost.report import AuditReport, CompareReport, CostReport, Run, Variant
 from sim.studies.cost.verdict import FRAME, in_words, value_in_words
 
 FRONT = "●"
@@ -21,7 +22,10 @@ FRONT = "●"
 Row = tuple[Cell, ...]
 
 
-def result(report: CostReport | CompareReport) -> Result:
+Report = CostReport | CompareReport | AuditReport
+
+
+def result(report: Report) -> Result:
     """The report as tables and sentences."""
     about = {
         "command": report.command,
@@ -29,33 +33,52 @@ def result(report: CostReport | CompareReport) -> Result:
         "hardware": report.hardware,
         "versions": report.versions,
     }
-    made = _cost_result(report) if isinstance(report, CostReport) else _compare_result(report)
+    if isinstance(report, AuditReport):
+        made = audit_result(report)
+    else:
+        made = _cost_result(report) if isinstance(report, CostReport) else _compare_result(report)
     return Result(made.title, made.tables, (*made.notes, *report.notes, *conditions(about)))
 
 
-def figures(report: CostReport | CompareReport) -> Figures:
+def figures(report: Report) -> Figures:
     """The report as plots."""
+    if isinstance(report, AuditReport):
+        return audit_figures(report)
     return cost_figures(report) if isinstance(report, CostReport) else compare_figures(report)
 
 
-def page(report: CostReport | CompareReport, result: Result, figures: Figures) -> str:
+def page(report: Report, result: Result, figures: Figures) -> str:
     """The report as a page."""
-    verdict = report.verdict if isinstance(report, CostReport) else None
-    top = (verdict.sentence, verdict.dominates, verdict.toml) if verdict else ()
-    horizon = "not told" if report.horizon is None else f"told up to {report.horizon:.3g} s"
+    *sentences, toml = _top(report)
     return _template().render(
         title=result.title,
-        about=f"{report.vertices:,} vertices; {report.seconds:.3g} s simulated; errors are {horizon}. "
+        about=f"{report.vertices:,} vertices; {report.seconds:.3g} s simulated{_told(report)}. "
         f"{report.command} · {report.date}",
-        sentences=top[:2],
-        toml=verdict.toml if verdict else "",
+        sentences=sentences,
+        toml=toml,
         figures=[
             {"name": name, "caption": caption, "svg": inline_svg(figure, name)}
             for name, (caption, figure) in figures.items()
         ],
         tables=[_laid_out(table) for table in result.tables],
-        notes=[note for note in result.notes if note not in top],
+        notes=[note for note in result.notes if note not in (*sentences, toml)],
     )
+
+
+def _top(report: Report) -> tuple[str, ...]:
+    """The sentences at the top of a page, and last what is to be pasted into the scene."""
+    if isinstance(report, AuditReport):
+        return sentence(report), report.toml
+    if isinstance(report, CostReport):
+        return report.verdict.sentence, report.verdict.dominates, report.verdict.toml
+    return ("",)
+
+
+def _told(report: Report) -> str:
+    """For how long errors are told."""
+    if isinstance(report, AuditReport):
+        return ""
+    return "; errors are " + ("not told" if report.horizon is None else f"told up to {report.horizon:.3g} s")
 
 
 @cache

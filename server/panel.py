@@ -14,6 +14,7 @@ from server.controls import Control, make_control
 from server.guard import Guard
 from server.palette import MAX_VARIANTS, VARIANTS
 from server.relevance import why_idle
+from server.switches import Switches
 from sim.scene import Scene
 from sim.settings import FIELDS
 
@@ -40,11 +41,11 @@ class Panel:
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(style.LEFT_WIDTH)
         self._style = server.gui.add_html("")
-        self._scene = self._choice("scene", scenes, scene, lab.open_scene, "What is simulated.")
+        self._scene = self.choice("scene", scenes, scene, lab.open_scene, "What is simulated.")
         self._lesson = server.gui.add_html("")
         self._transport = server.gui.add_button_group("run", (PLAY, STEP, RESET))
         self.act(self._transport, (PLAY, PAUSE, STEP, RESET), self._on_transport)
-        self._speed = self._choice(
+        self._speed = self.choice(
             "speed",
             list(SPEEDS),
             "1 ×",
@@ -53,7 +54,7 @@ class Panel:
         )
         self._status = server.gui.add_html("")
         self._progress = server.gui.add_progress_bar(0.0, visible=False)
-        self._by = self._choice(
+        self._by = self.choice(
             "compare by",
             list(self._by_label),
             NOTHING,
@@ -66,7 +67,8 @@ class Panel:
         self._add_tabs()
         self._add_commands()
 
-    def _choice(self, label: str, options: Sequence[str], value: str, then, hint: str):
+    def choice(self, label: str, options: Sequence[str], value: str, then, hint: str):
+        """A dropdown that has the lab do `then(option)`."""
         handle = self._gui.add_dropdown(label, tuple(options), initial_value=value, hint=hint)
         self.act(handle, options, then)
         return handle
@@ -97,6 +99,8 @@ class Panel:
                 for field in FIELDS.values():
                     if field.group == group:
                         self._shared[field.name] = self._setting(field.name, field.default)
+        with tabs.add_tab("Effects"):
+            self._switches = Switches(self, self._lab.switch_effect, self._lab.show_effect)
         with tabs.add_tab("View"):
             lines = self._gui.add_checkbox("mesh lines", False, hint="Draw the triangles of the cloth (W).")
             self._guard.watch(lines, bool)
@@ -168,6 +172,7 @@ class Panel:
         variants = [comparison.settings(i) for i in range(comparison.count)]
         for name, control in self._shared.items():
             control.enable(why_idle(name, variants))
+        self._switches.show(variants)
 
     def _show_own(self, comparison: Comparison) -> None:
         """One control per variant for the compared setting: made when needed, then hidden, never removed."""

@@ -11,13 +11,18 @@ NEEDS: dict[str, tuple[Callable[[Settings], bool], str]] = {
     "bending": (lambda s: s.bend != "none", "there are no bending springs"),
     "altitude": (lambda s: s.altitudes != "none", "there are no altitude springs"),
     "adhoc_rule": (lambda s: s.bend == "adhoc", "the bending spring is not adhoc"),
+    "obstacles": (lambda s: s.contact != "none", "the collision method is none"),
+    "self_collision": (lambda s: s.contact != "none", "the collision method is none"),
     "detection": (lambda s: s.contact != "none", "the collision method is none"),
     "thickness": (lambda s: s.contact != "none", "the collision method is none"),
     "friction": (lambda s: s.contact != "none", "the collision method is none"),
     "newton": (lambda s: s.integrator != "symplectic_euler", "an explicit step solves nothing"),
     "tolerance": (lambda s: s.integrator != "symplectic_euler", "an explicit step solves nothing"),
     "compensate": (lambda s: s.gamma > 0, "there is no damping to reduce"),
-    "seed": (lambda s: s.jitter > 0, "nothing is random without start jitter"),
+    "wind": (lambda s: s.drag > 0, "there is no drag"),
+    "lift": (lambda s: s.drag > 0, "there is no drag"),
+    "gust": (lambda s: s.drag > 0 and any(s.wind), "there is no wind, or no drag"),
+    "seed": (lambda s: s.jitter > 0 or s.gust > 0, "nothing is random without gusts or start jitter"),
 }
 """What a setting needs to act, and what to say where that is missing. Settings not listed always act."""
 

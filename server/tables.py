@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -155,14 +155,28 @@ def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     """Which effects ran in each variant, and why not, where they did not."""
     parts = []
     for i, (name, meter) in enumerate(zip(names, meters, strict=True)):
-        rows = "".join(effect_row(k, v) for k, v in effects(meter).items())
+        costs, total = effect_costs(meter)
+        rows = "".join(effect_row(k, v, costs.get(k), total) for k, v in effects(meter).items())
         parts.append(
             f"<h1>{style.chip(VARIANTS[i])}{escape(name)}</h1><table>{rows or style.UNKNOWN}</table>"
         )
     return f'<div class="muslin">{"".join(parts)}</div>'
 
 
-def effect_row(name: str, word: str) -> str:
-    """What a step says about one effect; an unstable one is bad."""
-    look = "bad" if is_unstable(word) else ""
-    return f'<tr class="{look}"><td>{escape(str(name))}</td><td>{escape(str(word))}</td></tr>'
+def effect_costs(meter: Meter) -> tuple[Mapping[str, float], float]:
+    """Milliseconds of the newest step by effect, and of all of it; none before there is one."""
+    report = meter.latest.report
+    total = getattr(report, "ms", None) or {}
+    return getattr(report, "costs", None) or {}, total.get("total", 0.0)
+
+
+def effect_row(name: str, word: str, cost: float | None = None, total: float = 0.0) -> str:
+    """What a step says about one effect, and its part of the step's milliseconds; an unstable one is bad."""
+    look, bar = "bad" if is_unstable(word) else "", ""
+    if cost is not None and total > 0.0:
+        part = min(100.0 * cost / total, 100.0)
+        looks = f"border-left:{part:.1f}px solid currentColor;height:.5em;display:inline-block"
+        hint = f"{part:.0f} % of the step, without what it adds to the work of the solver"
+        bar = f'<div style="{looks}" title="{hint}"></div> {cost:.2f} ms'
+    name = escape(str(name).replace("_", " "))
+    return f'<tr class="{look}"><td>{name}</td><td>{bar}</td><td>{escape(str(word))}</td></tr>'

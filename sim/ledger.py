@@ -12,7 +12,9 @@ to be.
   share of obstacles, which put in (impulse)·(their velocity). An inelastic impact loses ½ m v² so. In a step
   in which the slip turns about, friction may come out a little below zero.
 - linearisation: −v̄·L. A step that is solved to the end has none.
-- integrator: −ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For backward
+- wind: the work of drag and lift, which S has, too.
+- strain limiting: −v̄ times what it gave after the solve.
+- integrator: wind − ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For backward
   Euler without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares that a
   step of it loses for every convex E, and for any other integrator what its own rule for x and v comes to.
   Where contact moves vertices after the solve, which asks no spring, what springs gain by it is in here, too.
@@ -44,8 +46,8 @@ if TYPE_CHECKING:
     from sim.integrators import State
     from sim.model import Model
 
-DISSIPATED = ("damping", "friction", "contact", "linearisation", "integrator")
-INJECTED = ("settings", "obstacles", "switched springs", "wrong springs")
+DISSIPATED = ("damping", "friction", "contact", "strain limiting", "linearisation", "integrator")
+INJECTED = ("settings", "wind", "obstacles", "switched springs", "wrong springs")
 
 Account = dict[str, float]
 
@@ -116,7 +118,7 @@ class Tally:
     """Impulses and work of a step's forces, integrated by the integrator along with the state.
 
     They are rows below the velocities: `n` each of S, L, N and F, then the powers of damping, of springs that
-    are wrong on purpose, and, of what contacts push and rub with, the parts of obstacles. Below positions are
+    are wrong on purpose and of the wind, and, of what contacts push and rub with, the parts of obstacles. Below positions are
     as many, which mean nothing.
 
     Args:
@@ -169,6 +171,8 @@ class Tally:
         rates[:n] = self._model.forces(x, v, anew)
         rates[2 * n : 3 * n], rates[3 * n : 4 * n] = felt.normal, felt.friction
         rates[4 * n, :2], rates[4 * n + 1, :2] = self._powers(v), felt.carried
+        if self._model.wind is not None:
+            rates[4 * n, 2] = self._model.wind.power(v)
         return rates
 
     def _powers(self, v: np.ndarray) -> tuple[float, float]:
@@ -263,7 +267,7 @@ class Part:
         assert solution.rows is not None
         n, x, v = len(self._x), solution.positions, solution.velocities
         impulse, linear, normal, friction = (solution.rows[k * n : (k + 1) * n] for k in range(4))
-        (damping, wrong, _), (pushed, rubbed, _) = solution.rows[4 * n :].tolist()
+        (damping, wrong, wind), (pushed, rubbed, _) = solution.rows[4 * n :].tolist()
         pushed, rubbed = pushed + self._carried["contact"], rubbed + self._carried["friction"]
         mean, potential = 0.5 * (self._v + v), self._model.energies(x)
         changes = {name: energy - self._potential[name] for name, energy in potential.items()}
@@ -272,8 +276,10 @@ class Part:
             "damping": damping,
             "friction": rubbed - _work(mean, friction + self._given["friction"]),
             "contact": pushed - _work(mean, normal + self._given["contact"]),
+            "strain limiting": 0.0 if solution.limited is None else -_work(mean, solution.limited),
             "linearisation": -_work(mean, linear),
-            "integrator": wrong - sum(changes.values()) - _work(mean, impulse) - damping,
+            "integrator": wrong + wind - sum(changes.values()) - _work(mean, impulse) - damping,
+            "wind": wind,
             "obstacles": pushed + rubbed,
             "wrong springs": wrong,
         }

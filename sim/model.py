@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim.contact.contacts import Contacts
 from sim.contact.gap import GapSprings
 from sim.damping import damping_ratios
+from sim.effects import SPRINGS
 from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping, set_tension
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
@@ -17,6 +19,9 @@ from sim.solve.coupling import uncoupled
 from sim.solve.preconditioner import build_preconditioner
 from sim.solve.system import add_curvature, add_elements, add_forces, build_system, confine, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
+
+if TYPE_CHECKING:
+    from sim.wind import Wind
 
 OUTSIDE = 1e-9
 """Weights of a contact that sum to more than this have their other side in an obstacle, not in cloth."""
@@ -35,6 +40,8 @@ class Model:
         free_mass: Sum of the masses of free vertices [kg].
         piece_masses: (pieces,) [kg].
         springs: one per kind in force.
+        wind: The air, where it acts.
+        costs: Milliseconds spent on each effect, added up.
         matrix: A, filled by `linearise`.
         coupling: What contacts add to A between vertices.
         preconditioner: of A, refreshed for each solve.
@@ -49,9 +56,12 @@ class Model:
         self.free[mesh.pinned] = False
         self.axis = mesh.axis
         self._forces = np.zeros((n, 3))
+        self.wind: Wind | None = None
+        self.costs: dict[str, float] = {}
         self.damping_ratios = damping_ratios(settings)
         self._set_masses()
         self._set_springs()
+        self._set_wind()
 
     def apply(self, settings: Settings, positions: np.ndarray) -> None:
         """Take over new settings; a new spring kind starts from the present `positions` (n, 3)."""
@@ -67,6 +77,7 @@ class Model:
         self.measure(positions)
         self.choose()
         self.damping_ratios = damping_ratios(settings)
+        self._set_wind()
 
     def _set_masses(self) -> None:
         self.masses = vertex_masses(self.mesh, self.settings.mass, self.settings.density)
@@ -88,6 +99,15 @@ class Model:
         self.coupling = uncoupled(len(self.masses))
         self.work = make_workspace(len(self.masses))
 
+    def _set_wind(self) -> None:
+        """Have the air that acts, and nothing of it where none does."""
+        if not (self.settings.drag > 0.0 and len(self.mesh.triangles)):
+            self.wind = None
+        elif self.wind is None:
+            from sim.wind import Wind  # which a step without wind does without
+
+            self.wind = Wind(self.mesh)
+
     def linearise(
         self,
         positions: np.ndarray,
@@ -95,16 +115,18 @@ class Model:
         contacts: GapSprings,
         h: float,
         exact: bool = False,
+        lag: np.ndarray | None = None,
     ) -> np.ndarray:
         """Fill the matrix M + h D + h² H at `positions` and return the forces (n, 3) [N] there.
 
-        H is filtered, so that the matrix is positive definite, or it is the `exact` Hessian.
+        H is filtered, so that the matrix is positive definite, or it is the `exact` Hessian. Coefficients of
+        the air's drag and lift are those of the velocities `lag` (n, 3), where given.
         """
         self.measure(positions)
         self._forces[:] = self.masses[:, None] * np.asarray(self.settings.gravity)
         reset(self.matrix, self.masses)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
-            elements = springs.elements
+            begin, elements = perf_counter(), springs.elements
             curvature = springs.curvature(positions) if exact else None
             bends = NONE if curvature is not None else BENDS[springs.kind.bends]
             linearise(elements, velocities, self.inverse_masses, self.damping_ratios, h, bends)
@@ -112,6 +134,12 @@ class Model:
             if curvature is not None:
                 add_curvature(elements, gather, curvature, h, self.matrix)
             add_forces(elements, gather, self._forces)
+            self._spent(SPRINGS[springs.kind.stiffness], begin)
+        if self.wind is not None:
+            begin = perf_counter()
+            self.wind.measure(positions, velocities if lag is None else lag)
+            self.wind.linearise(velocities, h, self.matrix, self._forces)
+            self._spent("wind", begin)
         if self.axis is not None:
             confine(self.matrix, self.masses, self.axis, self._forces)
         self.coupling = contacts.linearise(positions, velocities, h, self.matrix, self._forces)
@@ -134,7 +162,7 @@ class Model:
 
         Returns:
             (pieces,) the group of pieces joined by contacts that each one is in, and the groups' masses [kg],
-            infinite where a vertex is pinned or touches an obstacle.
+            infinite where a vertex is pinned or touches an obstacle, or the air holds it.
         """
         group, node, pieces = np.arange(len(self.piece_masses)), contacts.node, self.mesh.pieces
         acts = contacts.weight != 0.0
@@ -146,10 +174,12 @@ class Model:
         masses[group[pieces[self.mesh.pinned]]] = np.inf
         outside = np.abs(contacts.weight.sum(axis=1)) > OUTSIDE
         masses[group[own[outside]]] = np.inf
+        if self.wind is not None:
+            masses[:] = np.inf
         return group, masses
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray, anew: bool = True) -> np.ndarray:
-        """(n, 3) elastic, damping and gravity forces [N]; b `anew`, or that of the last linearisation."""
+        """(n, 3) elastic, damping, gravity and wind forces [N]; b `anew`, or that of the last linearisation."""
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
         for springs, gather in zip(self.springs, self._gathers, strict=True):
@@ -157,6 +187,9 @@ class Model:
                 set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
             set_tension(springs.elements, velocities)
             add_forces(springs.elements, gather, forces)
+        if self.wind is not None:
+            self.wind.measure(positions, velocities)
+            self.wind.push(velocities, forces)
         if self.axis is not None:
             forces[:, self.axis] = 0.0
         return forces
@@ -178,7 +211,13 @@ class Model:
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate every spring's coordinate and gradient at `positions`."""
         for springs in self.springs:
+            begin = perf_counter()
             springs.measure(positions)
+            self._spent(SPRINGS[springs.kind.stiffness], begin)
+
+    def _spent(self, effect: str, begin: float) -> None:
+        """Book the time since `begin` for an effect."""
+        self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (perf_counter() - begin)
 
     def remember(self, positions: np.ndarray, springs: list[Springs] | None = None) -> tuple[int, float]:
         """Accept `positions`: what the coordinates remember of them is kept, and kinds choose who acts next.

@@ -52,6 +52,14 @@ class StepReport:
         energy_injected: By changes of settings since the step before [J].
         energy_jumps: Springs that began or ceased to act at the end of the step, as their kind chose.
         energy_jump: What these put in [J].
+        strain: Largest strain of an edge that strain limiting left; contact may add to it.
+        limited: Edges that it pulled at.
+        wind_work: Work that the air did on the cloth [J], by its force and the velocities at the end.
+        lists: Broad phases: lists of pairs that were made anew.
+        looks: Times that the pairs on a list were looked at.
+        sweeps: Times that it was looked whether they meet on the way.
+        near_obstacles: Whether some obstacle could not be shown to be out of reach.
+        costs: Milliseconds by effect, of the work that is done for it alone.
     """
 
     ms: dict[str, float] = field(default_factory=dict)
@@ -79,7 +87,24 @@ class StepReport:
     energy_injected: float = 0.0
     energy_jumps: int = 0
     energy_jump: float = 0.0
+    strain: float = 0.0
+    limited: int = 0
+    wind_work: float = 0.0
+    lists: int = 0
+    looks: int = 0
+    sweeps: int = 0
+    near_obstacles: bool = False
+    costs: dict[str, float] = field(default_factory=dict)
     _within: float = field(default=0.0, repr=False)
+
+    @contextmanager
+    def spent(self, effect: str) -> Iterator[None]:
+        """Add the time that the block takes to `costs[effect]`, beside what phases count."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (time.perf_counter() - begin)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:

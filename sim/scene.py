@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, field
 
+from sim.effects import chosen
 from sim.refusal import in_words
 from sim.settings import FIELDS, Settings, convert
 
@@ -242,6 +243,8 @@ class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     lesson: Lesson | None = None
     camera: Camera | None = None
     compare: Compare = field(default_factory=Compare)
+    effects: dict[str, str] = {}
+    """Effects that the author forces "on" or "off"; `settings` are as they ask for."""
     source: str = "scene"
     folder: str = ""
 
@@ -310,7 +313,7 @@ def _checked(table: dict[str, Any], where: str, name: str) -> Scene:
     table["cloth"] = _cloth_list(table.get("cloth", []), where)
     if isinstance(table.get("obstacle"), list):
         table["obstacle"] = [_kind_of_arrays(obstacle) for obstacle in table["obstacle"]]
-    table["settings"] = _settings(table.get("settings", {}), where)
+    table["settings"] = _settings(table.get("settings", {}), table.get("effects", {}), where)
     try:
         scene = msgspec.convert(table, Scene)
     except msgspec.ValidationError as error:
@@ -331,13 +334,20 @@ def _kind_of_arrays(part: Any) -> Any:
     return {"kind": "arrays", **part} if isinstance(part, dict) and "vertices" in part else part
 
 
-def _settings(table: Any, where: str) -> Settings:
+def _settings(table: Any, effects: Any, where: str) -> Settings:
+    """The settings of a scene, with its effects as it forces them."""
     if not isinstance(table, dict):
         raise SceneError(f"{where}: settings: expected a table of settings, got {table!r}")
     try:
-        return Settings(**{name: convert(name, value) for name, value in table.items()})
+        settings = Settings(**{name: convert(name, value) for name, value in table.items()})
     except ValueError as error:
         raise SceneError(f"{where}: settings.{error}") from None
+    if not isinstance(effects, dict):
+        raise SceneError(f"{where}: effects: expected a table of effects, got {effects!r}")
+    try:
+        return chosen(settings, effects)
+    except ValueError as error:
+        raise SceneError(f"{where}: effects.{error}") from None
 
 
 def _problems(scene: Scene):

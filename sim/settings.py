@@ -56,10 +56,11 @@ def choice(
     return Meta(description=description, extra=extra)
 
 
-STRONGEST = 1e3
-"""Largest component of gravity [m/s²], a hundred times the earth's."""
+Acceleration = Annotated[float, Meta(ge=-1e3, le=1e3)]
+"""A component of gravity [m/s²]: up to a hundred times the earth's."""
 
-Acceleration = Annotated[float, Meta(ge=-STRONGEST, le=STRONGEST)]
+Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
+"""A component of the wind [m/s]: up to that of a hurricane."""
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -181,6 +182,21 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             ramps=True,
         ),
     ] = 1e-4
+    strain_limit: Annotated[
+        float,
+        number(
+            "",
+            "Cloth",
+            "Largest strain of an edge: impulses after the solve keep it there, before contact is answered. "
+            "Zero lets springs alone decide.",
+            ge=0.0,
+            le=1.0,
+            slider=(0.0, 0.2),
+            label="strain limit",
+            formula="|l / l₀ − 1| ≤ limit, where l > l₀",
+            cost="nothing while no edge is at it, then up to as much as the solve",
+        ),
+    ] = 0.0
     mass: Annotated[
         Literal["area", "constant"],
         choice(
@@ -209,6 +225,59 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         tuple[Acceleration, Acceleration, Acceleration],
         number("m/s²", "Cloth", "Acceleration that acts on every vertex.", label="gravity", cost="free"),
     ] = (0.0, 0.0, -9.81)
+    wind: Annotated[
+        tuple[Speed, Speed, Speed],
+        number(
+            "m/s",
+            "Wind",
+            "Mean velocity of the air. Still air brakes what moves, too: what says whether air acts is drag.",
+            label="wind",
+            cost="free",
+        ),
+    ] = (0.0, 0.0, 0.0)
+    drag: Annotated[
+        float,
+        number(
+            "",
+            "Wind",
+            "Drag coefficient C of a triangle that faces the air; a flat plate has about 1.2. Zero leaves "
+            "out all of the air.",
+            ge=0.0,
+            le=10.0,
+            slider=(0.0, 2.0),
+            label="drag",
+            formula="F = ½ ρ A (n·u) C u",
+            cost="a few per cent of a step",
+        ),
+    ] = 0.0
+    lift: Annotated[
+        float,
+        number(
+            "",
+            "Wind",
+            "Lift coefficient of a triangle as part of its drag coefficient: a push square to the air.",
+            ge=0.0,
+            le=1.0,
+            slider=(0.0, 1.0),
+            label="lift",
+            formula="F = ½ ρ A (n·u) C lift (|u| n − (n·u) u / |u|)",
+            cost="free",
+        ),
+    ] = 0.0
+    gust: Annotated[
+        float,
+        number(
+            "",
+            "Wind",
+            "Root mean square of the gusts in each direction, as part of the mean wind; seeded.",
+            ge=0.0,
+            le=1.0,
+            slider=(0.0, 1.0),
+            label="gusts",
+            formula="spectrum ~ f^(−5/3), carried by the mean wind",
+            cost="a tenth of a millisecond for a thousand vertices",
+        ),
+    ] = 0.0
     contact: Annotated[
         Literal["none", "penalty", "impulse", "postprocess"],
         choice(
@@ -230,12 +299,30 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="continuous costs a few times static",
         ),
     ] = "continuous"
+    obstacles: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            "Contact",
+            "Whether cloth feels obstacles.",
+            choices=lambda: {
+                "auto": "looked at in steps in which one may be within reach; the others give the same cloth",
+                "on": "looked at in every step",
+                "off": "cloth goes through them",
+            },
+            label="obstacles",
+            cost="a few per cent of a step near one; auto makes it next to nothing elsewhere",
+        ),
+    ] = "auto"
     self_collision: Annotated[
         Literal["auto", "on", "off"],
         choice(
             "Contact",
-            "Whether cloth feels cloth: all its vertices, edges and triangles, of one piece or several. "
-            "auto does wherever a collision method is chosen.",
+            "Whether cloth feels cloth: all its vertices, edges and triangles, of one piece or several.",
+            choices=lambda: {
+                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
+                "on": "all pairs are found anew and looked at every time",
+                "off": "cloth goes through cloth",
+            },
             label="self-collision",
             cost="from a tenth to half of the step",
         ),
@@ -406,7 +493,7 @@ class Field:
         if self.choices is not None:
             return "one of " + ", ".join(f'"{name}"' for name in self.choices())
         if self.type == "vector":
-            return f"three numbers from {-STRONGEST:g} to {STRONGEST:g}"
+            return f"three numbers from {self.minimum:g} to {self.maximum:g}"
         bounds = [f"≥ {self.minimum:g}" if self.minimum is not None else ""]
         bounds += [f"≤ {self.maximum:g}" if self.maximum is not None else ""]
         whole = "a whole number " if self.type == "integer" else ""
@@ -441,14 +528,15 @@ def _field(name: str, annotation: Any, default: Any) -> Field:
         closed = dict.fromkeys(typing.get_args(base), "")
         choices = lambda: closed  # noqa: E731
     kind = "choice" if choices else {float: "number", int: "integer"}.get(base, "vector")
+    bounds = typing.get_args(typing.get_args(base)[0])[1] if kind == "vector" else meta
     extra["label"] = extra["label"] or name.replace("_", " ")
     return Field(
         name=name,
         type=kind,
         default=default,
         description=meta.description,
-        minimum=meta.ge,
-        maximum=meta.le,
+        minimum=bounds.ge,
+        maximum=bounds.le,
         choices=choices,
         **extra,
     )

@@ -7,9 +7,10 @@ it was. The same scene, settings and seed give the same bits, on any number of t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from sim.contact.broad import CandidateError
 from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
-from sim.effects import effects
+from sim.effects import EFFECTS, Told, chosen, state
 from sim.integrators import INTEGRATORS, State
 from sim.ledger import Books, Ledger, Tally
 from sim.mesh import build_mesh
@@ -29,6 +30,9 @@ from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
 from sim.threads import processor_threads
+
+if TYPE_CHECKING:
+    from sim.strain import Limit
 
 FASTEST = 1e6
 """A step that ends with a vertex faster than this [m/s] is refused: it has blown up."""
@@ -54,16 +58,22 @@ class Simulation:
 
     Args:
         scene: A loaded scene, a path, the name of a scene that comes with Muslin, or a dict.
+        effects: Those that are forced "on" or "off", by name, whatever scene and overrides have.
         overrides: Settings that differ from the scene's.
 
     Raises:
         SceneError: For a scene that cannot be used.
-        ValueError: For an override out of bounds: names field, value and bounds.
+        ValueError: For an override out of bounds: names field, value and bounds; and for a wrong effect.
     """
 
-    def __init__(self, scene: Scene | str | Path | dict[str, Any], **overrides: Any) -> None:
+    def __init__(
+        self,
+        scene: Scene | str | Path | dict[str, Any],
+        effects: Mapping[str, str] | None = None,
+        **overrides: Any,
+    ) -> None:
         self.scene = load_scene(scene)
-        self._ramp = Ramp.done(change(self.scene.settings, **overrides))
+        self._ramp = Ramp.done(chosen(change(self.scene.settings, **overrides), effects or {}))
         self.mesh = build_mesh(self.scene)
         self.model = Model(self.mesh, self.settings)
         self.contact = Pipeline(self.scene, self.model)
@@ -74,6 +84,8 @@ class Simulation:
         self._injected = 0.0
         self._limit: float | None = None
         self._books: Books | None = None
+        self._edges: Limit | None = None
+        self._told = Told()
         self.model.forget(self._positions)
 
     def _start(self) -> np.ndarray:
@@ -84,6 +96,11 @@ class Simulation:
     def settings(self) -> Settings:
         """The settings that hold, or that are gone over to. Immutable; `update` replaces them."""
         return self._ramp.target
+
+    @property
+    def effects(self) -> dict[str, str]:
+        """Whether each effect is "on", "off" or "auto"."""
+        return {name: state(name, self.settings) for name in EFFECTS}
 
     @property
     def time(self) -> float:
@@ -146,7 +163,9 @@ class Simulation:
         return linear.sum(axis=0), np.cross(self._positions, linear).sum(axis=0)
 
     def forces(self) -> np.ndarray:
-        """(n, 3) elastic, damping and gravity forces [N] at the present state, contact left out."""
+        """(n, 3) elastic, damping, gravity and wind forces [N] at the present state, contact left out."""
+        if self.model.wind is not None:
+            self.model.wind.blow(self.settings, self._time, self._positions)
         return self.model.forces(self._positions, self._velocities)
 
     def obstacle_poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -174,6 +193,15 @@ class Simulation:
         """
         settings = change(self.settings, **changes)
         self._go_over(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings))
+        self._previous = self._limit = None
+
+    def switch(self, **changes: Any) -> None:
+        """Change settings at once, as `update` without its way of going over; for comparisons, not for eyes.
+
+        Raises:
+            ValueError: names field, value and bounds.
+        """
+        self._go_over(Ramp.done(change(self.settings, **changes)))
         self._previous = self._limit = None
 
     def _go_over(self, ramp: Ramp) -> None:
@@ -245,6 +273,7 @@ class Simulation:
             StepError: where the step cannot be done; the state is as it was.
         """
         report, ramp, injected = StepReport(), self._ramp, self._injected
+        self.model.costs = report.costs
         try:
             if not ramp.over:
                 self._go_over(ramp.after(self.settings.dt))
@@ -257,9 +286,11 @@ class Simulation:
             raise
         report.energy_injected, self._injected = self._injected, 0.0
         report.moved = self._longest_way(solution.positions)
+        if self.model.wind is not None:
+            report.wind_work = self.settings.dt * self.model.wind.power(solution.velocities)
         self._accept(solution, touch, report)
         with report.phase("report"):
-            if self.scene.obstacle:
+            if self.scene.obstacle and self.settings.obstacles != "off":
                 depths = self.contact.depths(self._time, self._positions)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             report.effects = self._effects(report)
@@ -275,9 +306,14 @@ class Simulation:
                 solution, report.integrator = take_step(self.model, springs, *way, tally)
             except SolveError as error:
                 raise StepError(str(error), "solve", self._suspect()) from None
+            if settings.strain_limit > 0.0:
+                return self._limited(settings, solution, report)
             return solution
 
         state = self.settings, self._time, self._positions, self._velocities
+        if (wind := self.model.wind) is not None:
+            half = 0.5 * self.settings.dt  # the middle of a step stands for all of it to second order
+            wind.blow(self.settings, self._time + half, self._positions + half * self._velocities)
         with np.errstate(over="ignore", invalid="ignore"):  # a step that blows up is refused below
             try:
                 solution, touch = self.contact.through(*state, solve, report)
@@ -290,6 +326,19 @@ class Simulation:
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
         return solution, touch
+
+    def _limited(self, s: Settings, end: Solution, report: StepReport) -> Solution:
+        """The `end` of a step, where no edge is longer than it may be."""
+        with report.phase("limit"), report.spent("strain_limiting"):
+            from sim.strain import make_limit, shorten  # which a step without a limit does without
+
+            if self._edges is None:
+                self._edges = make_limit(self.mesh.edges, self.mesh.rest_vertices)
+            about = self._edges, s.strain_limit, self.model.inverse_masses
+            before = end.velocities.copy()
+            found = shorten(*about, s.dt, end.positions, end.velocities)
+            report.strain, report.limited = found
+            return replace(end, limited=self.masses[:, None] * (end.velocities - before))
 
     def _longest_way(self, end: np.ndarray) -> float:
         """How far [m] the step to `end` takes the vertex or the point of an obstacle that goes farthest.
@@ -341,7 +390,8 @@ class Simulation:
             self._limit = None
         elif self._limit is None:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
-        return effects(self.settings, self.model, report, bool(self.scene.obstacle), self._limit)
+        about = self.settings, self.model, report, bool(self.scene.obstacle), self._limit
+        return self._told.tell(*about)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

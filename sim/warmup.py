@@ -7,6 +7,7 @@ watched.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 
 from numba.core import event
@@ -20,6 +21,9 @@ from sim.solve.implicit import FILTERED
 from sim.springs.build import kernel_of, kinds_in_force
 
 Progress = Callable[[int, int, str], None]
+
+OPTIONAL = {"sim.wind": "drag", "sim.strain": "strain_limit"}
+"""Modules whose kernels only a scene needs that has a setting above zero."""
 
 
 def warm_up(scene: Scene, progress: Progress | None = None) -> None:
@@ -38,9 +42,15 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         "adhoc_rule": s.adhoc_rule,
         "altitudes": s.altitudes,
         "contact": "none" if s.contact == "none" else "impulse",
+        "obstacles": s.obstacles,
         "self_collision": s.self_collision,
+        "drag": s.drag,
+        "strain_limit": s.strain_limit,
         "solver": "cg",
     }
+    for effect, value in OPTIONAL.items():
+        if getattr(s, value) > 0.0:
+            importlib.import_module(effect)  # so that its kernels are counted
     settings |= {"newton": min(s.newton, 2), "tolerance": 1e-12}  # so that a line search is needed, too
     meshes = any(isinstance(part, ShellFile | ShellArrays) for part in scene.obstacle)
     under = {"vertices": [[0, 0, -1e-3], [0.1, 0, -1e-3], [0, 0.1, -1e-3]], "triangles": [[0, 1, 2]]}
@@ -49,10 +59,13 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     kinds = kinds_in_force(s).values()
     rules = {kernel_of(kind, s) for kind in kinds}
     exact = s.newton > FILTERED
+    felt = bool(scene.obstacle) and s.obstacles != "off"
     touches = s.contact != "none" and (s.self_collision != "off" or meshes)
 
     def needed(kernel: Dispatcher) -> bool:
         module, name = kernel.py_func.__module__, kernel.py_func.__name__
+        if module in OPTIONAL:
+            return getattr(s, OPTIONAL[module]) > 0.0
         if name.endswith("curvature"):
             return exact and module in {"sim.solve.system", *(kind.module for kind in kinds)}
         if module.startswith("sim.springs."):
@@ -60,8 +73,8 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:
             return touches
         if module in {"sim.contact.detect", "sim.contact.faces"}:
-            return bool(scene.obstacle)
-        return name != "project" and (bool(scene.obstacle) or touches or not module.startswith("sim.contact"))
+            return felt
+        return name != "project" and (felt or touches or not module.startswith("sim.contact"))
 
     with event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress)):
         world = Simulation(small)

@@ -70,7 +70,7 @@ def test_all_altitudes_are_three_in_each_triangle_and_none_are_none():
     world.update(altitudes="none")
     assert world.energy().keys() == edges_alone.energy().keys()
     np.testing.assert_array_equal(world.forces(), edges_alone.forces())
-    assert world.step().effects["altitude springs"] == "off: altitudes is none"
+    assert world.step().effects["altitudes"] == "off: altitudes is none"
 
 
 def moving(**settings):

@@ -19,10 +19,10 @@ SECONDS = {"bullet": 1.2, "clap": 2.0, "clap2d": 2.0, "ring": 2.8, "fold": 3.2, 
 
 KEPT = [
     ("bullet", {"detection": "continuous"}),
-    ("catch", {"self_collision": "on"}),
-    ("catch2d", {"self_collision": "on"}),
-    ("clap", {"self_collision": "on"}),
-    ("clap2d", {"self_collision": "on"}),
+    ("catch", {"self_collision": "auto"}),
+    ("catch2d", {"self_collision": "auto"}),
+    ("clap", {"self_collision": "auto"}),
+    ("clap2d", {"self_collision": "auto"}),
     ("drape2d", {"contact": "impulse"}),
     ("fold", {"bending": 1e-4}),
     ("fold", {"bending": 2e-2}),
@@ -152,7 +152,7 @@ def tips(seen, k=0):
 @pytest.mark.parametrize(("scene", "k"), [("clap", 0), ("clap2d", 0), ("clap2d", 1)])
 def test_halves_that_feel_each_other_clap_and_others_swap_sides(scene, k):
     """Felt, they hang still, half a metre down; not felt, each swings on to where the other came from."""
-    seen = film(scene, self_collision="on")
+    seen = film(scene, self_collision="auto")
     left, right = tips(seen, k)
     assert (left < right).all()
     assert seen.piece(k)[-1, :, 2].min() == pytest.approx(0.5, abs=5e-3)
@@ -162,7 +162,7 @@ def test_halves_that_feel_each_other_clap_and_others_swap_sides(scene, k):
 
 
 def test_halves_are_through_each_other_before_static_detection_sees_them():
-    world = sim.Simulation("clap", self_collision="on", detection="static")
+    world = sim.Simulation("clap", self_collision="auto", detection="static")
     assert any(crossings(world) for _ in range(30) if world.step())
 
 
@@ -171,7 +171,7 @@ def test_halves_are_through_each_other_before_static_detection_sees_them():
 
 @pytest.mark.parametrize(("scene", "pairs"), [("catch", [(0, 1)]), ("catch2d", [(0, 1), (2, 3)])])
 def test_what_falls_is_caught_if_it_is_felt_and_else_lies_on_the_floor(scene, pairs):
-    caught, fallen = (film(scene, self_collision=how) for how in ("on", "off"))
+    caught, fallen = (film(scene, self_collision=how) for how in ("auto", "off"))
     floor = fallen.world.settings.thickness
     for net, falling in pairs:
         assert fallen.piece(falling)[-1, :, 2].max() < floor + 0.01
@@ -180,7 +180,7 @@ def test_what_falls_is_caught_if_it_is_felt_and_else_lies_on_the_floor(scene, pa
 
 
 def test_the_net_hangs_deeper_by_what_it_caught():
-    low = [film("catch", self_collision=how).piece(0)[-1, :, 2].min() for how in ("on", "off")]
+    low = [film("catch", self_collision=how).piece(0)[-1, :, 2].min() for how in ("auto", "off")]
     assert low[0] < low[1] - 5e-3
 
 

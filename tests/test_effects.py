@@ -1,10 +1,13 @@
-"""What a step says about its effects: here, when something may have gone through unseen or unstopped."""
+"""Effects: how they are chosen, what a step says of them, and that auto skips nothing that acts."""
 
 import numpy as np
 import pytest
 
 import sim
-from tests.worlds import ball, chain, grid, scene
+from sim.effects import EFFECTS, chosen, state, switch
+from sim.scene import scene_files
+from sim.settings import Settings
+from tests.worlds import ball, chain, grid, irregular, scene
 
 SURE = {"contact": "impulse", "detection": "continuous"}
 UNSURE = [
@@ -42,7 +45,7 @@ def test_self_collision_says_it_by_its_own_thickness():
     world = sim.Simulation(scene(cloth, **settings))
     world.place(world.positions.copy(), np.full_like(world.positions, 0.2 / 3**0.5))
     words = world.step().effects
-    assert "may tunnel: moved 2 mm, thickness 0.8 mm" in words["self-collision"]
+    assert "may tunnel: moved 2 mm, thickness 0.8 mm" in words["self_collision"]
     assert "tunnel" not in words["contact"]
 
 
@@ -69,3 +72,252 @@ def test_the_way_of_an_obstacle_counts(name):
     still = chain([[2, 0, 0], [2.1, 0, 0]], [0.1, 0.1], pins=[0, 1])
     report = sim.Simulation(scene(still, {"motion": "linear", **obstacle}, **STEP)).step()
     assert report.moved == pytest.approx(way, rel=1e-6, abs=1e-12)
+
+
+# How they are chosen
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_that_is_left_out_can_be_brought_in_again(name):
+    scene_has = chosen(Settings(altitudes="all", drag=1.0, strain_limit=0.2, gravity=(0, 1, 0)), {})
+    assert state(name, scene_has) == "auto"
+    off = chosen(scene_has, {name: "off"})
+    assert state(name, off) == "off"
+    assert chosen(off, {name: "auto"}) == off  # it is for the settings to say
+    again = sim.settings.change(off, **switch(name, "auto", off, scene_has))
+    assert again == scene_has
+    usual = sim.settings.change(off, **switch(name, "auto", off))
+    assert state(name, usual) == "auto"
+
+
+@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.on])
+def test_an_effect_that_can_be_skipped_can_be_forced(name):
+    forced = chosen(Settings(), {name: "on"})
+    assert state(name, forced) == "on"
+    assert sim.settings.change(forced, **switch(name, "auto", forced)) == Settings()
+
+
+WRONG = [
+    ({"winds": "off"}, "effects.winds: no such effect; the effects are gravity, "),
+    ({"wind": "maybe"}, 'effects.wind: expected one of "auto", "on", "off", got \'maybe\''),
+    ({"wind": "on"}, 'effects.wind: expected "auto" or "off" while settings.drag is 0.0, got "on"'),
+    ({"wind": 1}, "effects.wind: expected one of"),
+    (["wind"], "effects: expected a table of effects"),
+]
+
+
+@pytest.mark.parametrize(("effects", "words"), WRONG)
+def test_a_scene_with_a_wrong_effect_is_refused_in_one_line(effects, words):
+    with pytest.raises(sim.SceneError, match=words.replace("[", r"\[")) as error:
+        sim.load_scene({**scene(grid()), "effects": effects})
+    assert "\n" not in str(error.value)
+
+
+def test_a_scene_forces_effects_and_a_caller_forces_others():
+    made = {**scene(grid(), gravity=[0, 0, -1]), "effects": {"gravity": "off", "self_collision": "on"}}
+    assert sim.load_scene(made).settings.gravity == (0.0, 0.0, 0.0)
+    world = sim.Simulation(made, effects={"friction": "off"}, bend="none")
+    found = world.effects
+    assert [found[name] for name in ("gravity", "self_collision", "friction", "bending", "stretch")] == [
+        "off",
+        "on",
+        "off",
+        "off",
+        "auto",
+    ]
+    with pytest.raises(ValueError, match="warmth: no such effect"):
+        sim.Simulation(made, effects={"warmth": "off"})
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_is_left_out_says_so_and_costs_nothing(name):
+    usual = {"altitudes": "all", "drag": 1.2, "strain_limit": 0.1, "gravity": [0, 0, -9.81]}
+    usual["self_collision"] = "auto"
+    world = sim.Simulation(
+        scene(grid(position=[0, 0, 0.305]), ball(radius=0.3), **usual), effects={name: "off"}
+    )
+    report = world.step()
+    assert report.effects[name].startswith("off: ")
+    if name != "stretch":  # whose springs stay, as other kinds' parts of the matrix rest on theirs
+        assert name not in report.costs
+    with_it = sim.Simulation(scene(grid(position=[0, 0, 0.305]), ball(radius=0.3), **usual)).step()
+    assert not with_it.effects[name].startswith("off")
+
+
+def test_obstacles_that_are_off_are_gone_through():
+    made = scene(grid(position=[0, 0, 0.31]), ball(radius=0.3), gravity=[0, 0, -9.81])
+    felt, gone = sim.Simulation(made), sim.Simulation(made, obstacles="off")
+    for _ in range(30):
+        felt.step()
+        report = gone.step()
+    assert report.penetrations == 0  # nobody asks
+    assert felt.positions[:, 2].max() > 0.28
+    assert gone.positions[:, 2].max() < 0.31 - 0.9
+
+
+# That auto skips nothing that acts
+
+FORCED = {"obstacles": "on", "self_collision": "on"}
+
+
+class Pair:
+    """A simulation that skips what it can, and one that looks at everything, from the same states."""
+
+    def __init__(self, made, **settings):
+        self.auto, self.forced = (sim.Simulation(made, **settings) for _ in range(2))
+        self.skipped = 0
+
+    def step(self):
+        """Take a step with both; the forced one from the other's state, with no list of its own."""
+        start = self.auto.snapshot()
+        self.forced.restore(start)
+        forced = {name: "on" for name in FORCED if getattr(self.auto.settings, name) != "off"}
+        self.forced.update(**forced)
+        report, all_of_it = self.auto.step(), self.forced.step()
+        assert (report.contacts, report.hits, report.penetrations, report.substeps) == (
+            all_of_it.contacts,
+            all_of_it.hits,
+            all_of_it.penetrations,
+            all_of_it.substeps,
+        )
+        assert (self.auto.positions == self.forced.positions).all()
+        assert (self.auto.velocities == self.forced.velocities).all()
+        self.skipped += sum(words.startswith("skipped") for words in report.effects.values())
+
+
+@pytest.mark.parametrize("name", [path.stem for path in scene_files()])
+def test_auto_gives_the_bits_of_on_in_every_scene(name):
+    """Every twelfth step of the first while, each compared with one that looks at everything."""
+    pair = Pair(name)
+    while pair.auto.time < 0.8:
+        pair.step()
+        for _ in range(11):
+            pair.auto.step()
+
+
+def approach(part, *obstacles):
+    """A sheet, and another or an obstacle 3 cm below, that cover `part` of what is between in four steps."""
+    upper = grid((0.2, 0.2), (5, 5), position=[0.0, 0.0, 0.03], rotation=[0.0, 0.0, 0.4])
+    lower = grid((0.2, 0.2), (5, 5), position=[0.0, 0.01, 0.0])
+    cloth = [upper] if obstacles else [upper, lower]
+    pair = Pair(scene(cloth, *obstacles, self_collision="auto", dt=0.01, thickness=2e-3))
+    speed = part * 0.03 / 0.04 * (1.0 if obstacles else 0.5)
+    towards = np.where(pair.auto.pieces == 0, -speed, speed)
+    pair.auto.place(pair.auto.positions, np.outer(towards, [0.0, 0.0, 1.0]))
+    for _ in range(6):
+        pair.step()
+    return pair
+
+
+BELOW = {
+    "cloth": (),
+    "a ball": (ball((0.0, 0.0, -0.1), 0.1),),
+    "a plane": ({"kind": "plane"},),
+    "a box": ({"kind": "box", "center": [0.03, 0.0, -0.05], "size": [0.1, 0.1, 0.1]},),
+    "a mesh": ({"vertices": [[-1, -1, 0], [1, -1, 0], [0, 1, 0]], "triangles": [[0, 1, 2]]},),
+}
+
+
+@pytest.mark.parametrize("what", BELOW)
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.97, 1.03, 4.0])
+def test_auto_sees_what_just_meets_and_what_just_does_not(what, part):
+    pair = approach(part, *BELOW[what])
+    assert pair.skipped > 0
+
+
+def test_a_bound_that_is_too_bold_would_be_noticed(monkeypatch):
+    """Bounds that a step may break are the mistake that these tests are there to find."""
+    import sim.contact.pairs
+    import sim.contact.pipeline
+
+    sound = sim.contact.pairs.strayed
+    monkeypatch.setattr(sim.contact.pairs, "strayed", lambda a, b: 0.1 * sound(a, b))
+    with pytest.raises(AssertionError):
+        approach(4.0)
+    monkeypatch.undo()
+    reach = sim.contact.pipeline.out_of_reach
+    monkeypatch.setattr(sim.contact.pipeline, "out_of_reach", lambda *a: reach(*a[:-1], -0.05))
+    with pytest.raises(AssertionError):
+        approach(4.0, *BELOW["a ball"])
+
+
+def adversary(seed):
+    """Cloth, obstacles and settings at random, where bounds are likely to be wrong if they can be."""
+    random = np.random.default_rng(seed)
+    size = random.uniform(0.2, 0.5)
+    cloth = [grid((size, size), (7, 7), position=random.uniform(-0.3, 0.3, 3).tolist())]
+    if random.random() < 0.5:
+        turned = {
+            "position": random.uniform(-0.3, 0.3, 3).tolist(),
+            "rotation": random.uniform(-3, 3, 3).tolist(),
+        }
+        cloth.append({**irregular(seed, 30), **turned})
+    obstacles = [_thing(random) for _ in range(random.integers(0, 4))]
+    settings = {
+        "contact": random.choice(["penalty", "impulse", "postprocess"]),
+        "detection": random.choice(["static", "continuous"]),
+        "self_collision": random.choice(["auto", "off"], p=[0.8, 0.2]),
+        "thickness": float(10 ** random.uniform(-4, -1.5)),
+        "gravity": (random.uniform(-10, 10, 3) * random.integers(0, 2)).tolist(),
+        "dt": float(10 ** random.uniform(-3.5, -1.3)),
+        "stretch": float(10 ** random.uniform(0, 3)),
+    }
+    return scene(cloth, *obstacles, **settings), random
+
+
+def _thing(random):
+    there, size = random.uniform(-0.5, 0.5, 3).tolist(), random.uniform(0.05, 0.3)
+    keys = np.sort(random.uniform(0, 0.2, 2))
+    path = [
+        {
+            "time": float(t),
+            "position": random.uniform(-0.5, 0.5, 3).tolist(),
+            "rotation": random.uniform(-3, 3, 3).tolist(),
+        }
+        for t in keys
+    ]
+    moves = {"path": path} if random.random() < 0.5 else {}
+    kind = random.integers(5)
+    if kind == 0:
+        return ball(there, size, **moves)
+    if kind == 1:
+        return {"kind": "box", "center": there, "size": random.uniform(0.01, 0.4, 3).tolist(), **moves}
+    if kind == 2:
+        return {
+            "kind": "capsule",
+            "start": there,
+            "end": random.uniform(-0.5, 0.5, 3).tolist(),
+            "radius": size,
+            **moves,
+        }
+    if kind == 3:
+        return {"kind": "plane", "point": there, "normal": random.normal(size=3).tolist(), **moves}
+    return {"vertices": random.uniform(-0.3, 0.3, (3, 3)).tolist(), "triangles": [[0, 1, 2]], **moves}
+
+
+def attack(seed, steps=6):
+    """Step an adversary's scene, thrown and thrown again; returns how many effects were skipped."""
+    made, random = adversary(seed)
+    pair = Pair(made)
+    for k in range(steps):
+        if k % 3 == 0:  # at all speeds, most of them such that a step goes about as far as the thickness
+            settings = pair.auto.settings
+            speed = settings.thickness / settings.dt * float(10 ** random.uniform(-1.5, 1.5))
+            common = random.uniform(-1, 1, 3) * 10 ** random.uniform(-2, 1.5)
+            velocities = random.normal(0, speed, pair.auto.positions.shape) + common
+            pair.auto.place(pair.auto.positions + random.normal(0, 1e-3, velocities.shape), velocities)
+        try:
+            pair.step()
+        except sim.StepError:
+            return pair.skipped
+    return pair.skipped
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_state_that_an_adversary_makes_has_auto_skip_what_acts(seed):
+    attack(seed)
+
+
+def test_the_adversary_is_worth_its_name():
+    """It makes states in which effects are skipped; else it would test nothing."""
+    assert sum(attack(seed) for seed in range(12)) > 50

@@ -248,7 +248,7 @@ def test_mutated_scenes_load_or_raise_scene_errors_of_one_line(path, value):
     assert len(message) <= LONGEST_LINE
 
 
-TABLES = ["cloth", "settings", "obstacle", "lesson", "camera", "compare"]
+TABLES = ["cloth", "settings", "obstacle", "lesson", "camera", "compare", "effects"]
 
 
 @given(st.sampled_from(TABLES), st.text(max_size=8), VALUES)

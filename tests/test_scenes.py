@@ -165,6 +165,24 @@ def test_the_curtain_is_pushed_out_by_the_ball_and_falls_back():
     assert world.positions[:, 1].max() < 0.1
 
 
+# Flag
+
+
+def test_the_flag_flies_in_the_wind_and_hangs_without():
+    """Half its width out on average, as one would say that a flag flies; hanging it is a fifth at most."""
+    out = {}
+    for drag in (0.0, 1.2):
+        world, reports, _ = run("flag", 2.0, drag=drag)
+        tip = world.positions[:, 0].max()
+        out[drag] = [tip]
+        while world.time < 4.0:
+            reports.append(world.step())
+            out[drag].append(world.positions[:, 0].mean())
+        assert (sum(report.wind_work for report in reports) > 0.0) == (drag > 0.0)
+    assert np.mean(out[1.2][1:]) > 0.6
+    assert np.mean(out[0.0][1:]) < 0.45
+
+
 # Strip
 
 
@@ -411,6 +429,6 @@ def test_static_detection_sees_needle_and_knife_in_steps_of_less_than_the_thickn
 
 
 def test_no_scene_is_left_without_a_test_of_its_own():
-    names = {"curtain", "drape", "meshcloth", "needle", "strip"} | set(STUDIES)
+    names = {"curtain", "drape", "flag", "meshcloth", "needle", "strip"} | set(STUDIES)
     names |= {name for name, _ in KEPT}
     assert {path.stem for path in scene_files()} == names

@@ -21,7 +21,7 @@ def stack(**settings):
 def crumple(**settings):
     """A sheet that falls on its edge."""
     cloth = grid(resolution=(16, 16), rotation=[1.3, 0.2, 0.1], position=[0, 0, 0.6])
-    return scene(cloth, {"kind": "plane"}, gravity=EARTH, self_collision="on", **settings)
+    return scene(cloth, {"kind": "plane"}, gravity=EARTH, self_collision="auto", **settings)
 
 
 def crossings(world):
@@ -103,7 +103,7 @@ def test_confined_to_a_plane_nothing_leaves_it_and_chains_do_not_pass_each_other
 @pytest.mark.parametrize("detection", ["static", "continuous"])
 def test_putting_right_afterwards_keeps_a_sheet_out_of_the_ball(detection):
     cloth = grid(resolution=(14, 14), position=[0, 0, 0.31])
-    settings = {"contact": "postprocess", "detection": detection, "self_collision": "on"}
+    settings = {"contact": "postprocess", "detection": detection, "self_collision": "auto"}
     world = sim.Simulation(scene(cloth, ball(), gravity=EARTH, **settings))
     reports = [world.step() for _ in range(60)]
     assert max(r.contacts for r in reports) > 0

@@ -231,7 +231,7 @@ def test_the_report_says_what_ran_and_why_not():
     assert report.effects["bending"].startswith("off")
     assert report.effects["damping"].startswith("off")
     assert report.effects["contact"].startswith("off")
-    assert report.effects["edge springs"] == "ran"
+    assert report.effects["stretch"] == "ran"
     assert report.ms["total"] == pytest.approx(sum(v for k, v in report.ms.items() if k != "total"))
 
 

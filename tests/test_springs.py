@@ -305,4 +305,4 @@ def test_a_rest_hinge_whose_coordinate_feels_no_fold_is_left_out_and_said_so():
     world = sim.Simulation({"cloth": thin}, bend="modified", gravity=(0, 0, 0))
     assert world.energy()["modified"] == 0.0
     assert np.isfinite(world.forces()).all()
-    assert "1 left out" in world.step().effects["modified springs"]
+    assert "1 left out" in world.step().effects["bending"]

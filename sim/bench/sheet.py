@@ -93,7 +93,7 @@ class Sheet:
             "bend": "cross",
             "bending": BENDING,
             "contact": "impulse",
-            "self_collision": "off" if self.hangs else "on",
+            "self_collision": "off" if self.hangs else "auto",
             "thickness": THICKNESS,
             "dt": FRAME,
             "newton": 1,

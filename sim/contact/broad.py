@@ -25,7 +25,7 @@ from sim.contact.surface import Surface, Tree
 MOST_CANDIDATES = 20_000_000
 """Pairs beyond which a list is refused: they would take more than 500 MB."""
 
-ROUNDING = 1e-12
+ROUNDING = 1e-9
 """Part by which skins are a little wider than they say."""
 
 MOVABLE, PARTNER = 1, 2
@@ -48,6 +48,7 @@ class Candidates(NamedTuple):
         end: (n, 3) [m].
         skin: [m].
         reach: [m].
+        least: The smallest distance at the start [m].
     """
 
     kind: np.ndarray
@@ -58,14 +59,15 @@ class Candidates(NamedTuple):
     end: np.ndarray
     skin: float
     reach: float
+    least: float
 
     def hold_at(self, positions: np.ndarray) -> bool:
         """Whether no other pair is within reach with vertices at `positions` (n, 3) [m]."""
-        return _within(positions, self.end, self.skin) or _within(positions, self.start, self.skin)
+        return strayed(positions, self.end) <= self.skin or strayed(positions, self.start) <= self.skin
 
     def hold_on(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether no other pair comes within reach on the way from `start` to `end`, (n, 3) both [m]."""
-        return _within(end, self.end, self.skin) and _within(start, self.start, self.skin)
+        return strayed(end, self.end) <= self.skin and strayed(start, self.start) <= self.skin
 
 
 class BroadPhase:
@@ -119,18 +121,29 @@ class BroadPhase:
         found = np.concatenate([pairs[chunk, :count] for chunk, count in enumerate(counts)])
         apart = np.concatenate([distance[chunk, :count] for chunk, count in enumerate(counts)])
         kind, pair, node = found[:, 0].astype(np.int8), found[:, 1:3].copy(), found[:, 3:].copy()
-        return Candidates(kind, pair, node, apart, start.copy(), end.copy(), skin, reach)
+        least = float(apart.min(initial=np.inf))
+        return Candidates(kind, pair, node, apart, start.copy(), end.copy(), skin, reach, least)
 
 
 @kernel
-def _within(positions, places, skin):
+def strayed(positions, places):
+    """How far the farthest vertex is from its place [m], or from that moved along with all, if less."""
+    mean, most, together = np.zeros(3), 0.0, 0.0
     for i in range(len(positions)):
-        square = 0.0
         for r in range(3):
-            square += (positions[i, r] - places[i, r]) ** 2
-        if not square <= skin * skin:
-            return False
-    return True
+            mean[r] += positions[i, r] - places[i, r]
+    mean /= len(positions)
+    for i in range(len(positions)):
+        square = aside = 0.0
+        for r in range(3):
+            way = positions[i, r] - places[i, r]
+            square += way * way
+            aside += (way - mean[r]) ** 2
+        if not square <= most:
+            most = square
+        if not aside <= together:
+            together = aside
+    return np.sqrt(most if most < together else together)  # which is nan where any number is
 
 
 @kernel

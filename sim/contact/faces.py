@@ -71,9 +71,16 @@ class Faces:
         self._nothing = not (len(self._faces) and (obstacles.shapes.kind == ROUNDED).any())
         self.last_key = first_key + len(self._faces) * len(obstacles.parts)
 
-    def begin(self, x: np.ndarray, before: Poses, after: Poses, h: float, thickness: float) -> Contacts:
-        """Begin a step of h [s] at `x` (n, 3) [m], and find what is nearer than a part of the thickness."""
+    def begin(
+        self, x: np.ndarray, before: Poses, after: Poses, h: float, thickness: float, clear: bool = False
+    ) -> Contacts:
+        """Begin a step of h [s] at `x` (n, 3) [m], and find what is nearer than a part of the thickness.
+
+        Nothing is looked for where it is known to be `clear`.
+        """
         self._step = x, before, after, h, thickness
+        if clear:
+            return NO_CONTACTS
         return self._found(x, REACH * thickness, CUT * thickness, continuous=False)
 
     def hits(self, end: np.ndarray) -> Contacts:

@@ -60,6 +60,10 @@ class Solid(NamedTuple):
     edges: np.ndarray
 
 
+NO_SOLID = Solid(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2), dtype=np.int64))
+"""No surface at all."""
+
+
 class Obstacles:
     """The obstacles of a scene as arrays, at any time.
 
@@ -81,8 +85,10 @@ class Obstacles:
         )
         self.solid, self._part = _joined(shells)
 
-    def corners(self, poses: Poses) -> np.ndarray:
-        """(k, 3) where the vertices of mesh obstacles are in these poses [m]."""
+    def corners(self, poses: Poses, solid: Solid | None = None) -> np.ndarray:
+        """(k, 3) where the vertices of mesh obstacles, all or those of `solid`, are in these poses [m]."""
+        if solid is NO_SOLID:
+            return solid.vertices
         turned = np.einsum("ijk,ik->ij", poses.rotation[self._part], self.solid.vertices)
         return poses.position[self._part] + turned
 

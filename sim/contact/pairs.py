@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.contact.broad import BroadPhase, Candidates
-from sim.contact.contacts import Contacts, along
+from sim.contact.broad import BroadPhase, Candidates, strayed
+from sim.contact.contacts import NO_CONTACTS, Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
@@ -36,6 +36,9 @@ SKIN, QUIET_SKIN = 0.05, 0.25
 QUIET = 0.1
 """Part of a typical edge that cloth which hardly moves goes in a step, at most."""
 
+MARGIN = 1e-9
+"""Part of a distance that rounding may have taken off it, and far more than it does."""
+
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
@@ -43,7 +46,9 @@ NEARER = 0.495
 class Pairs:
     """Pairs of features that may touch, kept up to date.
 
-    A step, or a part of one, begins with `begin`; then `hits` and `shorten` are about where it ends.
+    A step, or a part of one, begins with `begin`; then `hits` and `shorten` are about where it ends. Lists
+    are kept while they hold, and pairs are not looked at where bounds show that none can be near or meet: how
+    near the nearest of them was, and how far vertices have gone past each other since.
 
     Args:
         mesh: The cloth, n vertices.
@@ -51,11 +56,18 @@ class Pairs:
         solid: Mesh obstacles, k vertices, where they are at first.
         own: Whether cloth feels cloth, and not mesh obstacles alone.
         first_key: Keys of contacts start here.
+
+    Attributes:
+        exhaustive: Whether to make every list anew and look at all of it, whatever bounds say.
+        lists: How many lists were made.
+        looks: How often the pairs were looked at: where they are, or whether they meet.
+        sweeps: How often it was looked whether they meet.
     """
 
     def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, own: bool, first_key: int) -> None:
         n = len(free)
-        self._mesh, self._n, self._first_key, self.own = mesh, n, first_key, own
+        self._mesh, self._n, self._first_key, self.own, self.solid = mesh, n, first_key, own, solid
+        self.exhaustive, self.lists, self.looks, self.sweeps = False, 0, 0, 0
         places = np.concatenate([mesh.vertices, solid.vertices])
         edges = np.concatenate([mesh.edges, solid.edges + n])
         self._surface, tree = build_surface(
@@ -93,8 +105,11 @@ class Pairs:
         self.thickness = min(thickness, THICK * self.edge)
         self._reach = FELT * self.thickness
         known = self._list
-        if known is None or known.reach != self._reach or not known.hold_at(self._start):
+        if self._old(known) or known.reach != self._reach or not known.hold_at(self._start):
             known = self._renew(self._start)
+        self._bound(known)
+        if self._apart > self._reach and not self.exhaustive:
+            return NO_CONTACTS
         pairs, weight = known, self._measure(known)
         distance = self._distance
         close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
@@ -108,8 +123,12 @@ class Pairs:
         """Contacts of pairs that meet before the cloth's vertices are at `end` (n, 3) [m]."""
         pairs = self._listed(end)
         p, gap = len(pairs.kind), GAP * self.thickness
-        time, normal, weight = np.empty(p), np.empty((p, 3)), np.empty((p, 4))
         way = self._start, np.concatenate([end, self._after])
+        if self._apart - 2.0 * strayed(way[1], way[0]) > gap and not self.exhaustive:
+            return NO_CONTACTS
+        self._look(pairs)
+        self.sweeps += 1
+        time, normal, weight = np.empty(p), np.empty((p, 3)), np.empty((p, 4))
         meet(pairs.kind, pairs.node, self._distance, *way, gap, time, normal, weight)
         met = np.flatnonzero(time <= 1.0)
         keep = np.minimum(AFTER * gap, self._distance[met])
@@ -121,6 +140,7 @@ class Pairs:
         Returns those of them that would have gone farther.
         """
         pairs = self._listed(end)
+        self._look(pairs)
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
         return go_at_most(self._start, end, which, NEARER * least[which])
@@ -128,16 +148,31 @@ class Pairs:
     def _listed(self, end: np.ndarray) -> Candidates:
         """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""
         way, known = (self._start, np.concatenate([end, self._after])), self._list
-        if known is None or not known.hold_on(*way):
+        if self._old(known) or not known.hold_on(*way):
             known = self._renew(way[1])
-            self._measure(known)
+            self._bound(known)
         return known
+
+    def _old(self, known: Candidates | None) -> bool:
+        """Whether there is no list, or none is to be kept."""
+        return known is None or self.exhaustive
+
+    def _bound(self, known: Candidates) -> None:
+        """Set a lower bound of the distances of all pairs at the start; they are not measured."""
+        self._apart = known.least * (1.0 - MARGIN) - 2.0 * strayed(self._start, known.start)
+        self._distance = np.zeros(0)
+
+    def _look(self, pairs: Candidates) -> None:
+        """Measure the pairs, if there was no need before."""
+        if len(self._distance) != len(pairs.kind):
+            self._measure(pairs)
 
     def _renew(self, end: np.ndarray) -> Candidates:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""
         quiet = np.abs(end - self._start).max() < QUIET * self.edge
         skin = (QUIET_SKIN if quiet else SKIN) * self.edge
         self._list = self._broad.candidates(self._start, end, skin, self._reach)
+        self.lists += 1
         return self._list
 
     def _measure(self, pairs: Candidates) -> np.ndarray:
@@ -145,6 +180,8 @@ class Pairs:
         self._distance, weight = np.empty(len(pairs.kind)), np.empty((len(pairs.kind), 4))
         about = pairs.kind, pairs.node, pairs.distance, pairs.start
         measure(*about, self._start, self._reach, self._distance, weight)
+        self._apart = float(self._distance.min(initial=np.inf)) * (1.0 - MARGIN)
+        self.looks += 1
         return weight
 
     def _as_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:

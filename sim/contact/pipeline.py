@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from msgspec.structs import replace as replaced
@@ -21,9 +22,10 @@ from sim.contact.detect import deepest, detect
 from sim.contact.faces import Faces
 from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
-from sim.contact.obstacles import Obstacles, Poses
+from sim.contact.obstacles import NO_SOLID, Obstacles, Poses
 from sim.contact.pairs import Pairs
 from sim.contact.pinch import fit
+from sim.contact.reach import box, out_of_reach
 from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, targets
 from sim.integrators import INTEGRATORS
 from sim.ledger import UNBOOKED, Part, Unbooked
@@ -70,6 +72,11 @@ class _Way:
     report: StepReport
     part: Part | Unbooked
 
+    @cached_property
+    def start(self) -> np.ndarray:
+        """(8, 3) corners of the box around `x` [m]."""
+        return box(self.x)
+
 
 class Pipeline:
     """Contact of a scene's cloth with obstacles and with itself.
@@ -112,13 +119,28 @@ class Pipeline:
         response = self._response(settings)
         pairs = self._pairs_for(settings)
         self.parts = []
-        return self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
+        if pairs is not None:
+            pairs.lists = pairs.looks = pairs.sweeps = 0
+        end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
+        if pairs is not None:
+            report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
+        return end
 
     def depths(self, time: float, positions: np.ndarray) -> np.ndarray:
         """(n,) how far each vertex is inside an obstacle at `time` [m], zero outside."""
-        depths = np.zeros(len(positions))
-        deepest(self.obstacles.shapes, self.obstacles.poses(time), positions, depths)
+        depths, poses, around = np.zeros(len(positions)), self.obstacles.poses(time), box(positions)
+        if not out_of_reach(self.obstacles.shapes, poses, poses, around, around, 0.0):
+            deepest(self.obstacles.shapes, poses, positions, depths)
         return depths
+
+    def _clear(self, way: _Way, end: np.ndarray) -> bool:
+        """Whether no obstacle but meshes can act on the way to `end`; meshes are among the pairs."""
+        if way.settings.obstacles == "off" or not self.obstacles.parts:
+            return True
+        about = self.obstacles.shapes, way.before, way.after, way.start, box(end)
+        clear = way.settings.obstacles == "auto" and out_of_reach(*about, way.settings.thickness)
+        way.report.near_obstacles |= not clear
+        return clear
 
     def _part(
         self, settings, response, pairs, time, x, v, touched, solve, report, halvings
@@ -217,11 +239,14 @@ class Pipeline:
     def _pairs_for(self, s: Settings) -> Pairs | None:
         """The pairs that may touch, where settings and scene ask for them."""
         mesh, own = self._model.mesh, s.self_collision != "off" and len(self._model.mesh.edges) > 0
-        if s.contact == "none" or not (own or len(self.obstacles.solid.vertices)):
+        solid = NO_SOLID if s.obstacles == "off" else self.obstacles.solid
+        if s.contact == "none" or not (own or len(solid.vertices)):
             return None
-        if self._pairs is None or self._pairs.own != own:
-            self._pairs = Pairs(mesh, self._model.free, self.obstacles.solid, own, self._faces.last_key)
-        return self._pairs
+        pairs = self._pairs
+        if pairs is None or pairs.own != own or pairs.solid is not solid:
+            pairs = self._pairs = Pairs(mesh, self._model.free, solid, own, self._faces.last_key)
+        pairs.exhaustive = "on" in (s.self_collision, s.obstacles)
+        return pairs
 
     def _response(self, settings: Settings) -> Response | None:
         """How cloth answers; forces that are not solved for must be soft enough for an explicit step."""
@@ -234,30 +259,42 @@ class Pipeline:
 
     def _begin(self, way: _Way, pairs: Pairs | None) -> Contacts:
         """Pairs, and faces and obstacles, that are nearer than they should be at the start."""
-        s, near = way.settings, NO_CONTACTS
+        s, report, near = way.settings, way.report, NO_CONTACTS
         if s.contact == "none":
             return near
         if pairs is not None:
-            corners = self.obstacles.corners(way.before), self.obstacles.corners(way.after)
-            near = pairs.begin(way.x, *corners, s.dt, s.thickness)
-        near = near.and_also(self._faces.begin(way.x, way.before, way.after, s.dt, s.thickness))
+            with report.spent("self_collision"):
+                corners = (self.obstacles.corners(poses, pairs.solid) for poses in (way.before, way.after))
+                near = pairs.begin(way.x, *corners, s.dt, s.thickness)
+        about = way.x, way.before, way.after, s.dt, s.thickness
+        if s.obstacles == "off" or not self.obstacles.parts:
+            self._faces.begin(*about, clear=True)
+            return near.confined(self._model.axis, way.x)
+        with report.spent("obstacles"):
+            near = near.and_also(self._faces.begin(*about, self._clear(way, way.x)))
         return near.confined(self._model.axis, way.x)
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
         """Pairs, and faces and obstacles, that meet on the way to `end`."""
         if way.settings.contact == "none" or way.settings.detection == "static":
             return NO_CONTACTS
-        hits = NO_CONTACTS if pairs is None else pairs.hits(end)
-        return hits.and_also(self._faces.hits(end)).confined(self._model.axis, way.x)
+        with way.report.spent("continuous_detection"):
+            hits = NO_CONTACTS if pairs is None else pairs.hits(end)
+            if not self._clear(way, end):
+                hits = hits.and_also(self._faces.hits(end))
+        return hits.confined(self._model.axis, way.x)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
-        if response is None or not self.obstacles.parts:
+        if response is None or not self.obstacles.parts or way.settings.obstacles == "off":
             return NO_CONTACTS
         s = way.settings
-        path = way.x, end, self._model.free, s.dt
-        about = self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous"
-        return detect(*about).confined(self._model.axis, way.x)
+        with way.report.spent("obstacles"):
+            if self._clear(way, end):
+                return NO_CONTACTS
+            path = way.x, end, self._model.free, s.dt
+            about = self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous"
+            return detect(*about).confined(self._model.axis, way.x)
 
     @staticmethod
     def _fitted(known: Contacts, more: Contacts, end: np.ndarray, report: StepReport) -> Contacts:
@@ -351,7 +388,10 @@ class Pipeline:
         way.part.respond_anew()
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
-        way.part.rub(contacts, *push, s.friction * (given if response.solved else impulses + given) + crept)
+        if s.friction > 0.0:
+            with report.spent("friction"):
+                allowed = s.friction * (given if response.solved else impulses + given) + crept
+                way.part.rub(contacts, *push, allowed)
         if response.impulses:
             way.part.keep_apart(contacts, wanted, *push, given, report)
         if not (response.impulses and s.detection == "continuous" and np.isfinite(x).all()):
@@ -378,6 +418,8 @@ class Pipeline:
         mass, speed = self._model.masses, np.linalg.norm(contacts.speed, axis=1)
         moved = np.unique(contacts.node[contacts.weight != 0.0])
         work = (1.0 + way.settings.friction) * float(pressed @ speed)
+        if self._model.wind is not None:
+            work += way.settings.dt * max(self._model.wind.power(solution.velocities), 0.0)
         thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
         weight = float(np.linalg.norm(way.settings.gravity))
         lifted = 0.5 * RECOVERY_SPEED**2 + way.settings.thickness * weight
@@ -422,7 +464,8 @@ class Pipeline:
             masses = contacts.masses(inverse_masses)
             push = masses, inverse_masses, h, x, v
             way.part.keep_apart(contacts, targets(response, contacts, h), *push, given, report)
-            way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
+            if s.friction > 0.0:
+                way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
         if not last:
             return None
         self._hold_back(pairs, way, x)

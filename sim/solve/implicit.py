@@ -75,6 +75,7 @@ class Solution:
         stopped: Why Newton's iteration ended.
         felt: What it felt, where a ledger is kept.
         rows: What a ledger's tally integrated along with it.
+        limited: (n, 3) what strain limiting gave after it [N s]; None without.
     """
 
     positions: np.ndarray
@@ -87,6 +88,7 @@ class Solution:
     stopped: str = ""
     felt: Felt | None = None
     rows: np.ndarray | None = None
+    limited: np.ndarray | None = None
 
 
 def backward_euler(
@@ -127,7 +129,8 @@ def backward_euler(
         at, change = x_hat + h * velocities, v_hat - velocities
         loose = model.loose(contacts.contacts)
         exact = newton > filtered
-        forces = model.linearise(at, velocities, contacts, h, exact)
+        lag = v_hat if newton == 1 else velocities  # the first iterate stands still, which air would not feel
+        forces = model.linearise(at, velocities, contacts, h, exact, lag)
         linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         if exact and linear.broken:
             exact, forces = False, model.linearise(at, velocities, contacts, h)
@@ -138,7 +141,7 @@ def backward_euler(
             known = linear.step, np.zeros_like(guess)
             linear = _solve(model, loose, settings, forces, change, *known, h)
             if exact and linear.broken:  # what the first solve did not come across, this one may
-                forces = model.linearise(at, velocities, contacts, h)
+                forces = model.linearise(at, velocities, contacts, h, lag=lag)
                 linear = _solve(model, loose, settings, forces, change, *known, h)
             iterations += linear.iterations
         if linear.broken:
@@ -257,6 +260,8 @@ def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) ->
     """
     damped = (*(s.elements for s in model.springs), contacts.elements)
     quadratic = contacts.drag_along(velocities, step)
+    if model.wind is not None:
+        quadratic = quadratic + model.wind.along(velocities, step)
     for elements in damped:
         quadratic = quadratic + damping_along(elements, velocities, step)
 

@@ -17,7 +17,7 @@ LIMP = {"stretch": 0.0, "altitudes": "none", "bend": "none"}
 
 def felt(cloth, *obstacles, **more):
     """A scene whose cloth feels itself."""
-    return scene(cloth, *obstacles, **{"self_collision": "on", **more})
+    return scene(cloth, *obstacles, **{"self_collision": "auto", **more})
 
 
 def one_pair(kind, speed, friction, thickness=2e-3):

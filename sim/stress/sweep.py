@@ -40,8 +40,9 @@ TRIED = 40
 
 
 def levels() -> dict[str, list[Any]]:
-    """What each setting is swept over; gravity acts or does not. A run has one thread."""
+    """What each setting is swept over; gravity acts or not, and so does wind. A run has one thread."""
     found: dict[str, list[Any]] = {"gravity": [tuple(EARTH), (0.0, 0.0, 0.0)]}
+    found["wind"] = [(0.0, 0.0, 0.0), (3.0, -5.0, 4.0)]
     for name, field in FIELDS.items():
         if field.choices is not None:
             found[name] = list(field.choices())
@@ -177,7 +178,7 @@ class Watch:
     def _free(self) -> bool:
         """Whether nothing acts on the cloth from outside."""
         world = self.trial.world
-        held = any(world.settings.gravity) or world.scene.obstacle or len(world.pinned)
+        held = any(world.settings.gravity) or world.scene.obstacle or len(world.pinned) or world.model.wind
         return not held and world.model.conservative
 
     def _rounding(self) -> float:
@@ -194,8 +195,9 @@ class Watch:
         """Whether the last step was searched along, with nothing in it that has no potential."""
         s = self.trial.world.settings
         quiet = report.contacts == 0 and report.energy_injected == 0.0 and report.energy_jumps == 0
-        searched = s.integrator == "backward_euler" and s.newton > 1 and self.trial.world.model.conservative
-        return quiet and searched
+        model = self.trial.world.model
+        searched = s.integrator == "backward_euler" and s.newton > 1 and model.conservative
+        return quiet and searched and model.wind is None and report.limited == 0
 
     def _contact(self, before: np.ndarray, report: StepReport) -> None:
         world, s = self.trial.world, self.trial.world.settings

@@ -250,7 +250,8 @@ def test_a_list_holds_within_its_skin_and_not_beyond():
     assert found.hold_on(case.start, case.end)
     assert found.hold_at(case.start)
     assert found.hold_at(case.end)
-    for factor, holds in ((0.999, True), (1.001, False)):
+    n = len(case.start)
+    for factor, holds in ((0.999, True), (1.001 * n / (n - 1), False)):  # also past the mean of all vertices
         for vertex in (0, 17, len(case.start) - 1):
             off = np.zeros_like(case.start)
             off[vertex] = factor * skin * np.array([0.6, 0.0, -0.8])
@@ -258,6 +259,8 @@ def test_a_list_holds_within_its_skin_and_not_beyond():
             assert found.hold_on(case.start, case.end - off) is holds
             assert found.hold_at(case.start + off) is holds
             assert found.hold_at(case.end - off) is holds
+    assert found.hold_at(case.end + 3.0)  # all together may go anywhere
+    assert found.hold_on(case.start + 5.0, case.end - np.array([1.0, 2.0, 3.0]))
     lost = case.end.copy()
     lost[3, 1] = np.nan
     assert not found.hold_on(case.start, lost)

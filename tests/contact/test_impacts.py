@@ -217,7 +217,7 @@ def test_other_ways_of_contact_for_a_while_leave_nothing_behind_that_is_no_numbe
         {"contact": "none"},
         {"contact": "impulse", "detection": "static"},
         {"detection": "continuous", "self_collision": "off"},
-        {"self_collision": "on"},
+        {"self_collision": "auto"},
     ):
         world.update(**change)
         assert np.isfinite(end_of(world, 8)).all()

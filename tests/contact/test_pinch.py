@@ -26,7 +26,7 @@ def jaws(kind, gap):
         parts.append({"kind": kind, "center": [0, 0, side * 0.5], "path": path, **shape})
     pins = ["corner00", "corner10", "corner01", "corner11"]
     return sim.Simulation(
-        scene(grid((0.6, 0.6), (11, 11), pins=pins), *parts, gravity=DOWN, self_collision="on")
+        scene(grid((0.6, 0.6), (11, 11), pins=pins), *parts, gravity=DOWN, self_collision="auto")
     )
 
 

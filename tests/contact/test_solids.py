@@ -82,7 +82,9 @@ def whole(world):
 
 def run(case, steps=STEPS, **settings):
     """Steps until one ends with an intersection or went through something: why, or nothing; and reports."""
-    world = sim.Simulation(scene(*CASES[case], **{"gravity": [0, 0, -G], "self_collision": "on", **settings}))
+    world = sim.Simulation(
+        scene(*CASES[case], **{"gravity": [0, 0, -G], "self_collision": "auto", **settings})
+    )
     parts, x = whole(world)
     judge, reports = Judge(parts), []
     assert judge.clean(x)

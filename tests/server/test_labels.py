@@ -56,8 +56,19 @@ def test_unstable_step_is_a_line_of_the_label_and_bold_in_the_table():
     shaky = meter(report=report({"gravity": "ran", "integrator": "unstable: dt is 10 ms"}))
     assert label("one", shaky)[0].split("\n")[-1] == "▲ unstable step"
     table = effects_table(["one"], [shaky])
-    assert '<tr class="bad"><td>integrator</td><td>unstable: dt is 10 ms</td></tr>' in table
+    assert '<tr class="bad"><td>integrator</td><td></td><td>unstable: dt is 10 ms</td></tr>' in table
     assert table.count('class="bad"') == 1
+
+
+def test_each_effect_has_its_part_of_the_step():
+    step = SimpleNamespace(
+        effects={"self_collision": "ran"}, costs={"self_collision": 2.5}, ms={"total": 10.0}
+    )
+    table = effects_table(["one"], [meter(report=SimpleNamespace(**vars(step), penetrations=0))])
+    assert "<td>self collision</td>" in table
+    assert "border-left:25.0px" in table
+    assert "25 % of the step" in table
+    assert "2.50 ms" in table
 
 
 def test_effect_that_only_speaks_of_unstable_steps_is_none():

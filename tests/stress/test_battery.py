@@ -164,7 +164,7 @@ def test_every_setting_with_choices_or_a_slider_is_swept():
     from sim.settings import FIELDS
 
     swept = {name for name, field in FIELDS.items() if field.choices or field.slider} - {"threads"}
-    assert set(levels()) == swept | {"gravity"}
+    assert set(levels()) == swept | {"gravity", "wind"}
     assert levels()["dt"] == list(FIELDS["dt"].slider)
 
 

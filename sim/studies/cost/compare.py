@@ -38,7 +38,8 @@ FINEST = 1_000_000
 """Time steps are taken for multiples of this part of a second."""
 
 ANOTHER_CLOTH = ("friction", "jitter", "seed")
-"""Settings outside the group "Cloth" whose value makes it another run, not another way to compute one."""
+"""Settings outside the groups "Cloth" and "Wind" whose value makes it another run, not another way to compute
+one."""
 
 
 def compare(
@@ -101,7 +102,7 @@ def common_multiple(steps: Sequence[float]) -> float:
 
 def makes_another_cloth(name: str) -> bool:
     """Whether a setting says what is simulated, rather than how."""
-    return FIELDS[name].group == "Cloth" or name in ANOTHER_CLOTH
+    return FIELDS[name].group in ("Cloth", "Wind") or name in ANOTHER_CLOTH
 
 
 class _Comparison:

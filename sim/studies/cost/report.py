@@ -201,7 +201,45 @@ class CompareReport(Struct, kw_only=True, frozen=True):
     versions: dict[str, str]
 
 
-REPORTS: dict[str, type[Struct]] = {"cost": CostReport, "compare": CompareReport}
+class AuditedEffect(Struct, kw_only=True, frozen=True):
+    """What an audit found of one effect."""
+
+    name: str
+    now: Annotated[Literal["auto", "on", "off"], Meta(description="as the scene has it")]
+    verdict: Literal["matters", "below the numerical error", "uncertain"]
+    cost_share: Annotated[float, Meta(description="what it adds to a step, as part of the step as it is")]
+    own_ms: Annotated[float, Meta(description="ms per step of the work that is done for it alone")]
+    influence: Annotated[float, Meta(description="relative")] | None
+    errors: Annotated[float, Meta(description="influence over the numerical error of the window")] | None
+    ran: Annotated[float, Meta(ge=0.0, le=1.0, description="part of the steps")]
+    why: Annotated[str, Meta(description="what the last step said of it")]
+
+
+class AuditReport(Struct, kw_only=True, frozen=True):
+    """`muslin audit`. An influence that is null is that of a run which failed."""
+
+    study: Literal["audit"] = "audit"
+    scene: str
+    command: str = ""
+    date: str = ""
+    seconds: Seconds
+    vertices: int
+    settings: Settings
+    tolerance: Relative
+    numerical_error: Relative
+    windows: int
+    ms: Annotated[float, Meta(ge=0.0, description="wall milliseconds per step as it is")]
+    effects: list[AuditedEffect]
+    recommended: Annotated[dict[str, str], Meta(description="effects to force, as in a scene file")]
+    recommended_ms: Annotated[float, Meta(ge=0.0, description="wall milliseconds per step with those")]
+    recommended_error: Relative
+    toml: str
+    notes: list[str]
+    hardware: Hardware
+    versions: dict[str, str]
+
+
+REPORTS: dict[str, type[Struct]] = {"cost": CostReport, "compare": CompareReport, "audit": AuditReport}
 
 
 def schema(study: str) -> dict[str, Any]:

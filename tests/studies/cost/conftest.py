@@ -6,6 +6,7 @@ import pytest
 from small import EARTH, FEW, WASTEFUL, wasteful
 
 from sim.integrators import INTEGRATORS, Integrator
+from sim.studies.audit import audit
 from sim.studies.cost.compare import compare
 from sim.studies.cost.plan import Effort
 from sim.studies.cost.study import cost
@@ -43,3 +44,11 @@ def report(swing):
 def compared(landing):
     """The sheet that falls on a ball, by response."""
     return compare(landing, "contact", ["penalty", "impulse"], seconds=0.2, repeats=1, jobs=1)
+
+
+@pytest.fixture(scope="session")
+def audited():
+    """A sheet that falls on a ball, with bending made so weak that it does next to nothing."""
+    cloth = grid(size=(0.4, 0.4), resolution=(9, 9), position=[0.0, 0.0, 0.215])
+    void = {"bending": 1e-13, "self_collision": "auto"}
+    return audit(scene(cloth, ball(radius=0.2), gravity=EARTH, stretch=20.0, newton=3, **void), seconds=0.15)

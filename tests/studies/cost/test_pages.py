@@ -22,11 +22,12 @@ PAPER = {"command": "muslin cost <swing>", "date": "2026-01-01"}
 
 
 @pytest.fixture(scope="module")
-def reports(report, compared):
-    """Both, as the command writes them."""
+def reports(report, compared, audited):
+    """All, as the commands write them."""
     return {
         "cost": msgspec.structs.replace(report, **PAPER),
         "compare": msgspec.structs.replace(compared, **PAPER),
+        "audit": msgspec.structs.replace(audited, **PAPER),
     }
 
 
@@ -47,8 +48,10 @@ def test_the_json_is_what_the_published_schema_says(reports, study, monkeypatch)
     validator = jsonschema.Draft202012Validator(schema(study))
     validator.validate(plain)
     assert msgspec.convert(plain, REPORTS[study]) == reports[study]
-    key = "runs" if study == "cost" else "variants"
-    plain[key][0]["ms"] = "fast"
+    key, number = {"cost": ("runs", "ms"), "compare": ("variants", "ms"), "audit": ("effects", "own_ms")}[
+        study
+    ]
+    plain[key][0][number] = "fast"
     with pytest.raises(jsonschema.ValidationError):
         validator.validate(plain)
     del plain[key]

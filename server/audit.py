@@ -1,0 +1,94 @@
+"""What `muslin audit` found, as a table, sentences and a plot."""
+
+from __future__ import annotations
+
+from matplotlib import rc_context
+
+from server.figures import HATCHES, LOOKS, Figures, axes_for
+from server.palette import INK, STONE
+from sim.studies import Result, Table
+from sim.studies.cost.report import AuditedEffect, AuditReport
+from sim.studies.cost.verdict import percent
+
+KEPT = "●"
+"""Marks effects that matter."""
+
+SMALLEST = 1e-9
+"""Influences below this are drawn at the edge of the plot."""
+
+
+def audit_result(report: AuditReport) -> Result:
+    """The audit as a table, the sentence first among the notes, and the block to paste last."""
+    columns = (
+        "",
+        "effect",
+        "now",
+        "verdict",
+        "influence [%]",
+        "in errors",
+        "cost [%]",
+        "ran [%]",
+        "last step",
+    )
+    effects = sorted(report.effects, key=lambda e: (e.now == "off", -_moves(e)))
+    about = f"numerical error {percent(report.numerical_error)}; {report.ms:.3g} ms per step as it is"
+    caption = f"Every effect left out, or brought in where it is off ({KEPT}: matters); {about}"
+    table = Table(caption, columns, tuple(map(_row, effects)))
+    return Result(f"What {report.scene} needs", (table,), (sentence(report), report.toml))
+
+
+def _row(effect: AuditedEffect) -> tuple[str | float | None, ...]:
+    return (
+        KEPT if effect.verdict == "matters" else "",
+        effect.name,
+        effect.now,
+        effect.verdict if effect.now != "off" else f"brought in: {effect.verdict}",
+        None if effect.influence is None else 100.0 * effect.influence,
+        effect.errors,
+        round(100.0 * effect.cost_share, 1),
+        100.0 * effect.ran,
+        effect.why,
+    )
+
+
+def _moves(effect: AuditedEffect) -> float:
+    """How far the cloth goes without an effect, infinitely where it cannot do without."""
+    return float("inf") if effect.influence is None else effect.influence
+
+
+def sentence(report: AuditReport) -> str:
+    """What to do about it."""
+    if not report.recommended:
+        return (
+            f"Within {percent(report.tolerance)} {report.scene} needs every effect that runs: "
+            f"{report.ms:.3g} ms per step."
+        )
+    names = ", ".join(name.replace("_", " ") for name in report.recommended)
+    return (
+        f"Within {percent(report.tolerance)} {report.scene} does without {names}: "
+        f"{report.ms:.3g} ms per step become {report.recommended_ms:.3g}, and the cloth moves by "
+        f"{percent(report.recommended_error)}."
+    )
+
+
+def audit_figures(report: AuditReport) -> Figures:
+    """Influence beside cost, a pair of bars for each effect that the scene has."""
+    known = [e for e in report.effects if e.now != "off" and e.ran > 0.0]
+    known.sort(key=_moves)
+    if not known:
+        return {}
+    with rc_context(LOOKS):
+        figure, axes = axes_for((12.0, 2.0 + 0.5 * len(known)))
+        for i, effect in enumerate(known):
+            width = min(max(_moves(effect), SMALLEST), 1.0)
+            axes.barh(i, width, color=STONE.css, edgecolor=INK.css, hatch=HATCHES[0], height=0.6)
+            words = (
+                f"  {percent(effect.influence)}" if effect.influence is not None else "  cannot be left out"
+            )
+            axes.text(width, i, f"{words}, for {percent(effect.cost_share)} of a step", va="center")
+        axes.axvline(max(report.numerical_error, SMALLEST), color=INK.css, linestyle="--")
+        axes.set_yticks(range(len(known)), [e.name.replace("_", " ") for e in known])
+        axes.set(xscale="log", xlabel="moves the cloth by, relative; dashed: the numerical error")
+        axes.set_xlim(SMALLEST, 100.0)
+        axes.grid(False, axis="y")
+        return {"influence": ("What each effect changes, and what part of a step it costs.", figure)}

@@ -1,0 +1,110 @@
+"""The audit: what it says of effects that are known to matter, or not to, and how it is written."""
+
+import json
+
+import pytest
+
+import sim
+from server import pages
+from server.cli import main
+from sim.effects import EFFECTS
+from sim.studies.audit import audit
+from tests.worlds import ball, grid, scene
+
+EARTH = [0.0, 0.0, -9.81]
+
+
+def named(report, name):
+    (found,) = (effect for effect in report.effects if effect.name == name)
+    return found
+
+
+def test_every_effect_is_there_once(audited):
+    assert [effect.name for effect in audited.effects] == list(EFFECTS)
+
+
+def test_gravity_and_the_obstacle_matter(audited):
+    gravity, obstacle = named(audited, "gravity"), named(audited, "obstacles")
+    assert gravity.verdict == obstacle.verdict == "matters"
+    assert gravity.errors > 3.0
+    assert "without it cloth gets into something" in obstacle.why
+
+
+def test_the_influence_of_gravity_is_the_way_that_it_makes_cloth_fall():
+    """In free fall from rest half g t², as part of the diagonal; backward Euler adds g h t / 2."""
+    h, windows = 1 / 60, 5
+    report = audit(scene(grid(size=(3.0, 4.0)), gravity=EARTH, contact="none", bend="none"), seconds=10 * h)
+    t = 10 * h / windows
+    fallen = 0.5 * 9.81 * t * (t + h) / 5.0
+    assert named(report, "gravity").influence == pytest.approx(fallen, rel=1e-6)
+    assert report.numerical_error == pytest.approx(fallen - 0.5 * 9.81 * t * (t + h / 2) / 5.0, rel=1e-6)
+
+
+def test_an_effect_made_void_is_below_the_numerical_error_and_recommended_to_be_off(audited):
+    bending = named(audited, "bending")
+    assert bending.verdict == "below the numerical error"
+    assert bending.ran == 1.0
+    assert audited.recommended["bending"] == "off"
+    assert audited.recommended_error <= audited.tolerance
+    assert "gravity" not in audited.recommended
+    assert "obstacles" not in audited.recommended
+
+
+def test_what_is_off_is_brought_in_and_not_recommended(audited):
+    wind = named(audited, "wind")
+    assert (wind.now, wind.ran) == ("off", 0.0)
+    assert wind.influence > 0.0
+    assert not {"wind", "altitudes", "strain_limiting"} & audited.recommended.keys()
+
+
+def test_the_recommended_block_loads_and_says_what_it_was_measured_with(audited):
+    assert audited.toml.startswith("# audit over 0.15 s, tolerance 1 %: ")
+    import tomllib
+
+    table = tomllib.loads(audited.toml)
+    assert table == {"effects": audited.recommended}
+    world = sim.Simulation({**scene(grid()), **table})
+    assert world.effects["bending"] == "off"
+
+
+def test_an_audit_of_the_same_gives_the_same_but_for_times(audited):
+    cloth = grid(size=(0.3, 0.3), resolution=(5, 5), position=[0.0, 0.0, 0.22])
+    one, other = (audit(scene(cloth, ball(radius=0.2), gravity=EARTH), seconds=0.04) for _ in range(2))
+    assert [(e.influence, e.errors, e.verdict) for e in one.effects] == [
+        (e.influence, e.errors, e.verdict) for e in other.effects
+    ]
+
+
+def test_the_page_has_the_block_to_paste_the_plot_and_a_row_for_each_effect(audited):
+    figures = pages.figures(audited)
+    page = pages.page(audited, pages.result(audited), figures)
+    assert "[effects]" in page
+    assert list(figures) == ["influence"]
+    for name in EFFECTS:
+        assert f">{name}</td>" in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["audit"], "SCENE: expected a scene file, or one of `muslin scenes`, got none"),
+        (["audit", "drape", "--tolerance", "0"], "--tolerance: expected > 0, got 0"),
+        (["audit", "drape", "--seconds", "0"], "--seconds: expected at least one step of 0.0167 s, got 0"),
+        (["audit", "drape", "--set", "gamma=-1"], "gamma: expected ≥ 0 and ≤ 1000, got -1"),
+    ],
+)
+def test_a_wrong_call_is_refused_in_one_line(capsys, arguments, words):
+    assert main(arguments) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"muslin: {words}")
+    assert said.err.count("\n") == 1
+
+
+def test_the_command_prints_the_table_and_writes_json(tmp_path, capsys):
+    file = tmp_path / "audit.json"
+    assert main(["audit", "oscillator", "--seconds", "0.05", "--json", str(file)]) == 0
+    assert "What oscillator needs" in capsys.readouterr().out
+    written = json.loads(file.read_text())
+    assert written["command"].startswith("muslin audit oscillator --seconds 0.05")
+    assert {effect["name"] for effect in written["effects"]} == set(EFFECTS)
