@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from server.clock import Clock
@@ -90,11 +90,11 @@ class Bench:
         self.meters = [Meter() for _ in self.meters]
         self.clock.reset()
 
-    def change(self, index: int, name: str, value: Any, settings: Settings) -> None:
-        """Change one setting of one variant, which has all these `settings` then."""
+    def change(self, index: int, changes: Mapping[str, Any], settings: Settings) -> None:
+        """Change some settings of one variant, which has all these `settings` then."""
         lane = self.lanes[index]
         if lane.ready:
-            lane.send(Change({name: value}))
+            lane.send(Change(changes))
         else:  # it could not even start with the settings before
             lane.send(Reset(settings))
 

@@ -19,13 +19,15 @@ import msgspec
 from server.bench import Bench
 from server.comparison import Comparison
 from server.compiler import Compiler, Prepare, compile_kernels
+from server.history import History, changed
 from server.lane import Frame
 from server.page import READ_EVERY, Page
 from server.palette import MAX_VARIANTS
+from server.rescue import made_safe
 from server.ringdown import RingDown, measure_damping
 from sim.mesh import build_mesh
 from sim.scene import Scene, SceneError, load_scene, scene_files
-from sim.settings import Settings
+from sim.settings import FIELDS, Settings
 
 _log = logging.getLogger(__name__)
 
@@ -66,6 +68,7 @@ class Lab:
         self._build = build
         self._scenes = {path.stem: str(path) for path in scene_files()} | {self._scene.name: str(scene)}
         self._comparison = Comparison.of_scene(self._scene)
+        self._history = History()
         self._inbox: queue.SimpleQueue = queue.SimpleQueue()
         self._stopping = threading.Event()
         self._page = Page(self, host, port, list(self._scenes), self._scene.name)
@@ -117,7 +120,7 @@ class Lab:
                 self._act()
                 self._bench.collect()
                 self._bench.advance()
-                self._page.publish(self._bench, self._comparison)
+                self._page.publish(self._bench, self._comparison, self._history)
             except Exception:  # a mistake in one part of the page must not stop the clock
                 _log.exception("the page could not do what it was asked")
 
@@ -189,22 +192,49 @@ class Lab:
         """Change a setting of all variants."""
         if name == self._comparison.by:
             return
-        self._comparison = self._comparison.with_shared(name, value)
-        self._forget_damping()
-        self._page.panel.show_relevance(self._comparison)
-        for i in range(len(self._bench.lanes)):
-            self._bench.change(i, name, value, self._comparison.settings(i))
+        self._history.note(self._comparison, name)
+        self._change(self._comparison.with_shared(name, value))
 
     def set_own(self, index: int, value: Any) -> None:
         """Change the compared setting of one variant."""
         if index >= len(self._comparison.values):
             return
-        self._comparison = self._comparison.with_value(index, value)
-        self._forget_damping()
-        self._page.panel.show_relevance(self._comparison)
+        self._history.note(self._comparison, (self._comparison.by, index))
+        self._change(self._comparison.with_value(index, value))
         self._page.name_charts(self._comparison)
-        if self._bench.ready:
-            self._bench.change(index, self._comparison.by, value, self._comparison.settings(index))
+
+    def _change(self, comparison: Comparison) -> None:
+        """Have other settings of the same variants, while they run."""
+        before, self._comparison = self._comparison, comparison
+        self._forget_damping()
+        self._page.panel.show_relevance(comparison)
+        for i in range(len(self._bench.lanes)):
+            old, new = before.settings(i), comparison.settings(i)
+            changes = {
+                name: getattr(new, name) for name in FIELDS if getattr(new, name) != getattr(old, name)
+            }
+            if changes:
+                self._bench.change(i, changes, new)
+
+    def _change_on_page(self, comparison: Comparison, what: str) -> None:
+        """Have other settings that no control was moved to, and move the controls there."""
+        words = changed(self._comparison, comparison)
+        self._change(comparison)
+        self._page.panel.show_comparison(comparison)
+        self._page.name_charts(comparison)
+        self.say(f"{what}: {words}" if words else f"{what}: nothing")
+
+    def undo(self) -> None:
+        """Go back to the settings before the last change."""
+        self._change_on_page(self._history.undo() or self._comparison, "undone")
+
+    def make_safe(self) -> None:
+        """Put right what is out of the ordinary in variants that stand still."""
+        stopped = [i for i, frame in enumerate(self.frames) if frame.refused]
+        comparison = made_safe(self._comparison, stopped)
+        if comparison != self._comparison:
+            self._history.note(self._comparison, "safe settings")
+            self._change_on_page(comparison, "made safe")
 
     def compare_by(self, by: str) -> None:
         """Have the variants differ in another setting; starts again."""
@@ -234,6 +264,7 @@ class Lab:
     # Opening a scene: its still at once, then kernels in a thread, then one lane per variant.
 
     def _open(self) -> None:
+        self._history.clear()
         self._ringdown.stop()
         self._bench.clear(self._comparison.count)
         self._page.set_up(self._scene, self._mesh, self._comparison)

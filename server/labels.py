@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import textwrap
 
+from server.comparison import value_text
 from server.meter import Meter
 from server.style import UNKNOWN
-from sim.settings import Settings
+from sim.settings import FIELDS, Settings
 from sim.springs import BENDING
 
 WIDTH = 34
@@ -43,6 +44,14 @@ def may_tunnel(effect: object) -> bool:
     return TUNNELS in str(effect)
 
 
+def likeliest(blamed: str, settings: Settings | None) -> str:
+    """The setting most likely to blame and its value, in words; empty where none is named."""
+    if blamed not in FIELDS or settings is None:
+        return ""
+    field = FIELDS[blamed]
+    return f"{field.label} {value_text(field, getattr(settings, blamed))}"
+
+
 def effects(meter: Meter) -> dict[str, str]:
     """Each effect of the newest step and whether it ran, or why not; none before the first."""
     return getattr(meter.latest.report, "effects", None) or {}
@@ -68,7 +77,9 @@ def label(
     ]
     alarm = bool(meter.latest.refused)
     if alarm:
-        lines = [f"▲ {name} stopped", *textwrap.wrap(meter.latest.refused, WIDTH)[:4]]
+        why = textwrap.wrap(meter.latest.refused, WIDTH, max_lines=3, placeholder=" …")
+        suspected = likeliest(meter.latest.blamed, meter.latest.settings)
+        lines = [f"▲ {name} stopped", *why, f"likeliest: {suspected}" if suspected else ""]
     elif waiting:
         lines = [name, waiting]
     else:

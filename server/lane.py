@@ -60,6 +60,7 @@ class Frame:
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
         settings: In force when the frame was made.
         refused: Why the last step was refused; empty while all is well.
+        blamed: The setting that is likeliest to blame for that; empty where none is.
         note: Why the last change of settings was refused; empty if it was not.
     """
 
@@ -73,6 +74,7 @@ class Frame:
     momentum: tuple[np.ndarray, np.ndarray] | None = None
     settings: Settings | None = None
     refused: str = ""
+    blamed: str = ""
     note: str = ""
 
 
@@ -101,7 +103,7 @@ class Lane(threading.Thread):
         self._report: Any = None
         self._doing = ("", 0.0)
         self._owed = 0.0
-        self._refused = self._note = ""
+        self._refused = self._blamed = self._note = ""
         self._spent: list[Mapping[str, float]] = []
 
     def send(self, command: Advance | Change | Reset) -> None:
@@ -171,7 +173,7 @@ class Lane(threading.Thread):
     def _start(self, settings: Settings) -> None:
         self._owed = 0.0
         self._spent = []
-        self._refused = self._note = ""
+        self._refused = self._blamed = self._note = ""
         self._doing = ("starting", perf_counter())
         self._world = self._report = None
         self.step_length = settings.dt
@@ -193,7 +195,7 @@ class Lane(threading.Thread):
             self._refuse("change failed", error)
             return
         self.step_length = self._world.settings.dt
-        self._refused = self._note = ""
+        self._refused = self._blamed = self._note = ""
 
     def _step(self) -> None:
         self._doing = ("stepping", perf_counter())
@@ -209,7 +211,8 @@ class Lane(threading.Thread):
     def _refuse(self, what: str, error: Exception) -> None:
         """Stand still and say why; errors that are no verdict of the simulation also go to the log."""
         self._owed = 0.0
-        self._refused = f"{what}: {error}"
+        self._refused = f"{what}: {getattr(error, 'reason', error)}"
+        self._blamed = getattr(error, "setting", "")
         if type(error).__name__ not in ("StepError", "SceneError"):
             _log.exception("variant stopped: %s", what)
 
@@ -217,7 +220,7 @@ class Lane(threading.Thread):
         """Make the frame that others see."""
         world = self._world
         if world is None:
-            self.frame = Frame(refused=self._refused)
+            self.frame = Frame(refused=self._refused, blamed=self._blamed)
             return
         self.frame = Frame(
             positions=world.positions.astype(np.float32),
@@ -230,6 +233,7 @@ class Lane(threading.Thread):
             momentum=world.momentum(),
             settings=world.settings,
             refused=self._refused,
+            blamed=self._blamed,
             note=self._note,
         )
         self._spent = []

@@ -12,6 +12,7 @@ from server.charts import MEASURE, Charts
 from server.clock import FRAME
 from server.comparison import Comparison
 from server.guard import open_server
+from server.history import History
 from server.labels import label
 from server.lane import Frame
 from server.palette import BRAND
@@ -96,7 +97,7 @@ class Page:
         names = [comparison.short_name(i) for i in range(comparison.count)]
         self.charts.name(FIELDS[comparison.by].label if comparison.by else "", names)
 
-    def publish(self, bench: Bench, comparison: Comparison) -> None:
+    def publish(self, bench: Bench, comparison: Comparison, history: History) -> None:
         """Show what is finished, FRAME apart at least, and numbers less often; nothing if nobody looks."""
         if not self.watched:
             return
@@ -108,6 +109,7 @@ class Page:
         if now >= self._read + READ_EVERY:
             self._read = now
             self._show_numbers(bench, comparison, now)
+            self.panel.rescue.show(comparison, bench.finished, history.last(comparison))
 
     def _show_numbers(self, bench: Bench, comparison: Comparison, now: float) -> None:
         meters = [meter.read() for meter in bench.meters]

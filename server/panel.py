@@ -14,6 +14,7 @@ from server.controls import Control, make_control
 from server.guard import Guard
 from server.palette import MAX_VARIANTS, VARIANTS
 from server.relevance import why_idle
+from server.rescue import Rescue
 from sim.scene import Scene
 from sim.settings import FIELDS
 
@@ -53,6 +54,7 @@ class Panel:
         )
         self._status = server.gui.add_html("")
         self._progress = server.gui.add_progress_bar(0.0, visible=False)
+        self.rescue = Rescue(server, guard, lab)
         self._by = self._choice(
             "compare by",
             list(self._by_label),
@@ -118,6 +120,7 @@ class Panel:
             ("Play or pause", "space", lab.toggle),
             ("One step", "N", lab.step),
             ("Reset", "R", lab.reset),
+            ("Undo the last change of a setting", "Z", lab.undo),
             ("Mesh lines on or off", "W", lambda: lab.show_lines(not self._lines.value)),
         )
         for label, key, action in commands:

@@ -37,6 +37,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin td:first-child,.muslin th:first-child{text-align:left}"
         ".muslin.key{font-size:.74em;color:#6f675f}.muslin.key span{display:inline-block;margin-right:.8em}"
         ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
+        ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
         f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"

@@ -23,6 +23,7 @@ from sim.mesh import build_mesh
 from sim.model import Model
 from sim.ramp import Ramp
 from sim.report import StepError, StepReport
+from sim.safe import suspect
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError
@@ -254,7 +255,7 @@ class Simulation:
             try:
                 solution, report.integrator = take_step(self.model, springs, *way)
             except SolveError as error:
-                raise StepError(str(error), "solve", self._suspect()) from None
+                raise StepError(str(error), "solve", suspect(self.settings)) from None
             return solution
 
         state = self.settings, self._time, self._positions, self._velocities
@@ -262,10 +263,9 @@ class Simulation:
             try:
                 solution, touch = self.contact.through(*state, solve, report)
             except CandidateError as error:
-                raise StepError(str(error), "detect", self._suspect()) from None
-        calm = np.isfinite(solution.positions) & (np.abs(solution.velocities) < FASTEST)
-        if not calm.all():
-            raise StepError("positions or velocities are beyond all bounds", "respond", self._suspect())
+                raise StepError(str(error), "detect", suspect(self.settings)) from None
+        if wild := beyond_bounds(solution.positions, solution.velocities):
+            raise StepError(wild, "respond", suspect(self.settings))
         report.newton, report.converged = solution.newton, solution.converged
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
@@ -298,27 +298,27 @@ class Simulation:
         with report.phase("report"):
             report.energy_jumps, report.energy_jump = self.model.remember(self._positions)
 
-    def _suspect(self) -> str:
-        """The setting most likely to make a step fail: the first that is far from where it does well."""
-        s = self.settings
-        if not INTEGRATORS[s.integrator].implicit:
-            return "dt"
-        far = {
-            "gravity": float(np.abs(s.gravity).max()) > 100.0,
-            "dt": s.dt > 1 / 30,
-            "stretch": s.stretch > 1e5,
-            "altitude": s.altitudes != "none" and s.altitude > 1e5,
-            "bending": s.bending > 1.0,
-            "gamma": s.gamma > 10.0,
-        }
-        return next((name for name, is_far in far.items() if is_far), "dt")
-
     def _effects(self, report: StepReport) -> dict[str, str]:
         if INTEGRATORS[self.settings.integrator].implicit:
             self._limit = None
         elif self._limit is None:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
         return effects(self.settings, self.model, report, bool(self.scene.obstacle), self._limit)
+
+
+def beyond_bounds(positions: np.ndarray, velocities: np.ndarray) -> str:
+    """Which quantity of which vertex no step may end with, and its value; empty where all is well."""
+    for name, unit, array, limit in (
+        ("position", "m", positions, np.inf),
+        ("velocity", "m/s", velocities, FASTEST),
+    ):
+        size = np.abs(array).max(axis=1)
+        wild = ~(size < limit)  # also where it is no number
+        if wild.any():
+            vertex = int(np.argmax(wild))
+            bound = f", beyond {limit:g}" if np.isfinite(limit) else ", which is not finite"
+            return f"{name} of vertex {vertex} is {size[vertex]:.3g} {unit}{bound}"
+    return ""
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

@@ -118,7 +118,7 @@ def backward_euler(
                 linear = _solve(model, loose, settings, forces, change, *known, h)
             iterations += linear.iterations
         if linear.broken:
-            raise SolveError("the linear system is not positive definite or not finite")
+            raise SolveError(_what_broke(forces))
         step = linear.step
         small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
         if settings.newton > 1 and model.conservative:
@@ -134,6 +134,13 @@ def backward_euler(
             end = x_hat + h * velocities
             why = _why_stopped(settings, linear, small, bool(step.any()))
             return Solution(end, velocities, iterations, newton, linear.error, converged, linear.solver, why)
+
+
+def _what_broke(forces: np.ndarray) -> str:
+    wild = ~np.isfinite(forces).all(axis=1)
+    if wild.any():
+        return f"force on vertex {int(np.argmax(wild))} is not finite"
+    return "matrix of the linear system is not positive definite or not finite"
 
 
 def _why_stopped(settings: Settings, linear: _Linear, small: bool, moved: bool) -> str:
