@@ -49,11 +49,8 @@ class History:
 
 def changed(before: Comparison, after: Comparison) -> str:
     """What differs between two comparisons of the same setting, in words; empty where nothing does."""
-    parts = [
-        _words(name, getattr(before.shared, name), getattr(after.shared, name))
-        for name in FIELDS
-        if name != before.by
-    ]
+    shared = [name for name in FIELDS if name != before.by]
+    parts = [_words(name, getattr(before.shared, name), getattr(after.shared, name)) for name in shared]
     for i, pair in enumerate(zip(before.values, after.values, strict=False)):
         parts.append(_words(before.by, *pair, f" ({after.place(i)})"))
     parts = [part for part in parts if part]

@@ -13,6 +13,9 @@ from sim.springs import BENDING
 WIDTH = 34
 """Characters of a line; two cloths side by side leave no room for more."""
 
+ALARM_WIDTH = 27
+"""The same of what is written larger."""
+
 ON_PURPOSE = "wrong on purpose"
 """Said of a variant that shows a mistake."""
 
@@ -69,15 +72,16 @@ def label(
         behind: Simulated time [s] that it lags behind the others after having been stopped.
         remark: What else is to be said of it.
     """
+    alarm = bool(meter.latest.refused)
+    said = [] if alarm else effects(meter).values()  # of a step that was done
     remarks = [
         remark,
         wrong_on_purpose(meter.latest.settings),
-        "▲ unstable step" if any(map(is_unstable, effects(meter).values())) else "",
-        "▲ may tunnel" if any(map(may_tunnel, effects(meter).values())) else "",
+        "▲ unstable step" if any(map(is_unstable, said)) else "",
+        "▲ may tunnel" if any(map(may_tunnel, said)) else "",
     ]
-    alarm = bool(meter.latest.refused)
     if alarm:
-        why = textwrap.wrap(meter.latest.refused, WIDTH, max_lines=3, placeholder=" …")
+        why = textwrap.wrap(meter.latest.refused, ALARM_WIDTH, max_lines=4, placeholder=" …")
         suspected = likeliest(meter.latest.blamed, meter.latest.settings)
         lines = [f"▲ {name} stopped", *why, f"likeliest: {suspected}" if suspected else ""]
     elif waiting:

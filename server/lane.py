@@ -202,7 +202,7 @@ class Lane(threading.Thread):
         try:
             report = self._world.step()
         except Exception as error:
-            self._refuse("step refused", error)
+            self._refuse("", error)
             return
         self._owed -= self.step_length
         self._spent.append(report.ms)
@@ -211,10 +211,10 @@ class Lane(threading.Thread):
     def _refuse(self, what: str, error: Exception) -> None:
         """Stand still and say why; errors that are no verdict of the simulation also go to the log."""
         self._owed = 0.0
-        self._refused = f"{what}: {getattr(error, 'reason', error)}"
+        self._refused = f"{what}: {getattr(error, 'reason', error)}".removeprefix(": ")
         self._blamed = getattr(error, "setting", "")
         if type(error).__name__ not in ("StepError", "SceneError"):
-            _log.exception("variant stopped: %s", what)
+            _log.exception("variant stopped: %s", what or "no step")
 
     def _show(self) -> None:
         """Make the frame that others see."""

@@ -73,14 +73,14 @@ class Rescue:
         if stopped:
             self._write(self._said, content=self._text(comparison, frames, stopped))
         self._write(self._said, visible=bool(stopped))
-        for button, what, hint in (
-            (self._undo, last_change, "Back to before"),
-            (self._safe, changes, "Changes"),
-        ):
-            offered = bool(stopped and what)
-            if offered:
-                self._write(button, hint=f"{hint} {what}.")
-            self._write(button, visible=offered)
+        why = "; ".join(dict.fromkeys(DOUBTFUL.get(frames[i].blamed, "") for i in stopped))
+        self._offer_if(stopped and last_change, self._undo, f"Back to before {last_change}.")
+        self._offer_if(stopped and changes, self._safe, f"Changes {changes}. {why}".rstrip())
+
+    def _offer_if(self, wanted: object, button: Any, hint: str) -> None:
+        if wanted:
+            self._write(button, hint=hint)
+        self._write(button, visible=bool(wanted))
 
     @staticmethod
     def _text(comparison: Comparison, frames: Sequence[Frame], stopped: Sequence[int]) -> str:
@@ -90,8 +90,7 @@ class Rescue:
             chip = style.chip(VARIANTS[i]) if comparison.count > 1 else ""
             lines.append(f"<p>{chip}<b>▲ {escape(comparison.name(i))} stopped: {escape(frame.refused)}</b>")
             if what := likeliest(frame.blamed, comparison.settings(i)):
-                why = DOUBTFUL.get(frame.blamed, "")
-                lines.append(f" Likeliest: <b>{escape(what)}</b>{f' ({escape(why)})' if why else ''}.")
+                lines.append(f" Likeliest: <b>{escape(what)}</b>.")
             lines.append("</p>")
         return (
             f'<div class="muslin alarm">{"".join(lines)}<p class="small">Its last good state is kept. '

@@ -18,12 +18,13 @@ STRONG = 100.0
 """Gravity beyond this in any component [m/s²], ten times the earth's, is not swept."""
 
 CALM = "backward_euler"
-"""The integrator of safe settings: it damps whatever a step is too long for (L-stable), and never overshoots."""
+"""The integrator of safe settings: it damps whatever a step is too long for (L-stable)."""
 
 DOUBTFUL: dict[str, str] = {
-    "gravity": "what falls a thickness in much less than a step meets everything at once",
-    "dt": "cloth goes many edges far in a step, and is linearised about where it no longer is",
-    "stretch": "the matrix is that of a mass on springs of h² K: digits are lost where that outweighs mass",
+    "integrator": "explicit steps blow up where they are longer than the stiffest spring allows",
+    "gravity": "cloth falls many edges far in a step and meets everything at once",
+    "dt": "cloth goes many edges far in a step, which is linear about where it no longer is then",
+    "stretch": "digits are lost where springs of h² k outweigh the mass",
     "altitude": "the same, along the heights of triangles",
     "bending": "the same, and curvature that a mesh cannot show any more",
     "density": "light cloth is stiff cloth to a step, heavy cloth outweighs what holds it",
@@ -40,9 +41,8 @@ def out_of_range(settings: Settings) -> list[str]:
 
 
 def suspect(settings: Settings) -> str:
-    """The setting most likely to blame for a step that cannot be done; the time step where none stands out."""
-    explicit = not INTEGRATORS[settings.integrator].implicit
-    return "dt" if explicit else next(iter(out_of_range(settings)), "dt")
+    """The setting most likely to blame for a step that cannot be done; the time step if none stands out."""
+    return next(iter(out_of_range(settings)), "dt")
 
 
 def safe_changes(settings: Settings) -> dict[str, Any]:
@@ -51,8 +51,6 @@ def safe_changes(settings: Settings) -> dict[str, Any]:
     Where nothing is, it is half the time step, down to the end of its slider; empty there.
     """
     changes = {name: _moderated(name, settings) for name in out_of_range(settings)}
-    if not INTEGRATORS[settings.integrator].implicit:
-        changes["integrator"] = CALM
     low, _ = FIELDS["dt"].slider or (settings.dt, settings.dt)
     if not changes and settings.dt > low:
         changes["dt"] = max(low, 0.5 * settings.dt)
@@ -74,6 +72,8 @@ def _acts(name: str, settings: Settings) -> bool:
 def _moderated(name: str, settings: Settings) -> Any:
     """A moderate value for a setting in place of the one that it has; None where that is moderate."""
     field, value = FIELDS[name], getattr(settings, name)
+    if name == "integrator":
+        return None if INTEGRATORS[value].implicit else CALM
     if field.slider is None:
         return field.default if np.abs(value).max() > STRONG else None
     low, high = field.slider

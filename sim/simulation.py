@@ -256,6 +256,7 @@ class Simulation:
                 solution, report.integrator = take_step(self.model, springs, *way)
             except SolveError as error:
                 raise StepError(str(error), "solve", suspect(self.settings)) from None
+            self._refuse_beyond_bounds(solution, "solve")  # before it is looked for what all of it meets
             return solution
 
         state = self.settings, self._time, self._positions, self._velocities
@@ -264,12 +265,15 @@ class Simulation:
                 solution, touch = self.contact.through(*state, solve, report)
             except CandidateError as error:
                 raise StepError(str(error), "detect", suspect(self.settings)) from None
-        if wild := beyond_bounds(solution.positions, solution.velocities):
-            raise StepError(wild, "respond", suspect(self.settings))
+        self._refuse_beyond_bounds(solution, "respond")
         report.newton, report.converged = solution.newton, solution.converged
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
         return solution, touch
+
+    def _refuse_beyond_bounds(self, solution: Solution, phase: str) -> None:
+        if wild := beyond_bounds(solution.positions, solution.velocities):
+            raise StepError(wild, phase, suspect(self.settings))
 
     def _longest_way(self, end: np.ndarray) -> float:
         """How far [m] the step to `end` takes the vertex or the point of an obstacle that goes farthest.

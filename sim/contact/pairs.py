@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.contact.broad import BroadPhase, Candidates
+from sim.contact.broad import BroadPhase, CandidateError, Candidates
 from sim.contact.contacts import Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
@@ -33,6 +33,9 @@ SKIN, QUIET_SKIN = 0.05, 0.25
 QUIET = 0.1
 """Part of a typical edge that cloth which hardly moves goes in a step, at most."""
 
+MOST_LISTS = 8
+"""Times the longest list that may be gone through in one step: what takes longer is cloth that blows up."""
+
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
@@ -48,6 +51,9 @@ class Pairs:
         solid: Mesh obstacles, k vertices, where they are at first.
         own: Whether cloth feels cloth, and not mesh obstacles alone.
         first_key: Keys of contacts start here.
+
+    Attributes:
+        looked: Times a pair was asked whether it meets; for whoever takes a whole step to set to zero.
     """
 
     def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, own: bool, first_key: int) -> None:
@@ -63,6 +69,7 @@ class Pairs:
         self._broad = BroadPhase(self._surface, tree, movable, outside | own)
         ends = mesh.rest_vertices[mesh.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+        self.looked = 0
         self.forget()
 
     @property
@@ -127,6 +134,11 @@ class Pairs:
         if known is None or not known.hold_on(*way):
             known = self._renew(way[1])
             self._measure(known)
+        self.looked += len(known.kind)
+        if self.looked > MOST_LISTS * self._broad.most:
+            raise CandidateError(
+                f"{self.looked:,} times a pair was asked whether it meets, too often for one step"
+            )
         return known
 
     def _renew(self, end: np.ndarray) -> Candidates:

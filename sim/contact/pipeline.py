@@ -105,6 +105,8 @@ class Pipeline:
         """
         response = self._response(settings)
         pairs = self._pairs_for(settings)
+        if pairs is not None:
+            pairs.looked = 0
         return self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
 
     def depths(self, time: float, positions: np.ndarray) -> np.ndarray:

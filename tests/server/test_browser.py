@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from fake_world import FakeWorld, nothing_to_compile, wait_until
+from fake_world import SCENE, FakeWorld, nothing_to_compile, wait_until
 
 from server.lab import Lab
+from server.rescue import SAFE, UNDO
 from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
 
 PATIENCE = 120_000
@@ -205,6 +206,42 @@ def test_chain_is_seen_without_a_triangle_and_without_an_error(page):
     chain_page.get_by_text("momentum, SI").wait_for()
     assert chain_page.errors == []
     chain_page.close()
+    lab.stop()
+
+
+def test_a_stopped_variant_is_led_on_by_undo_by_safe_settings_and_by_the_key(page):
+    """The way out of a refused step as a hand takes it: the buttons come, act, and go."""
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
+    lab.start()
+    own_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
+    visit(own_page, lab)
+    wait_until(lambda: len(lab.frames) == 2 and lab.frames[0].time > 0, seconds=60)
+    undo, safe = (own_page.get_by_role("button", name=name) for name in (UNDO, SAFE))
+    box = row(own_page, "density").locator("input.mantine-TextInput-input")
+
+    def stop():
+        box.fill("500")
+        undo.wait_for()
+        own_page.get_by_text("load of vertex 3 is too heavy").first.wait_for()
+        assert all(frame.refused for frame in lab.frames)
+        return [frame.time for frame in lab.frames]
+
+    def led_on(reached, density):
+        undo.wait_for(state="hidden")
+        safe.wait_for(state="hidden")
+        wait_until(lambda: all(f.time > t for f, t in zip(lab.frames, reached, strict=True)), seconds=60)
+        assert settings(lab, "density") == [density, density]
+        wait_until(lambda: float(box.input_value()) == density, seconds=60)
+
+    assert undo.count() == safe.count() == 0
+    for press, density in ((undo.click, 0.2), (safe.click, 2.0), (lambda: own_page.keyboard.press("z"), 2.0)):
+        reached = stop()
+        box.blur()
+        press()
+        led_on(reached, density)
+    assert own_page.errors == []
+    own_page.close()
     lab.stop()
 
 
