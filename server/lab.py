@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from server.access import Access
 from server.bench import Bench
 from server.comparison import Comparison
 from server.compiler import Compiler, Prepare, compile_kernels
@@ -49,6 +50,7 @@ class Lab:
         build: Makes a simulation of a scene with some settings.
         prepare: Compiles what a scene needs.
         measure: Measures the damping of a scene.
+        view_only: Let guests watch only; whoever has the host's address moves the controls.
 
     Raises:
         SceneError: if the scene cannot be used; nothing has been started then.
@@ -62,6 +64,8 @@ class Lab:
         build: Callable[[Scene, Settings], Any] = build_world,
         prepare: Prepare = compile_kernels,
         measure: Callable[[Scene], Any] = measure_damping,
+        *,
+        view_only: bool = False,
     ):
         self._scene = load_scene(scene)
         self._mesh = build_mesh(self._scene)
@@ -71,7 +75,8 @@ class Lab:
         self._history = History()
         self._inbox: queue.SimpleQueue = queue.SimpleQueue()
         self._stopping = threading.Event()
-        self._page = Page(self, host, port, list(self._scenes), self._scene.name)
+        access = Access.at(host, view_only)
+        self._page = Page(self, host, port, list(self._scenes), self._scene.name, access)
         self._bench = Bench(lambda: self._page.watched, on_frame=lambda: self.post(lambda: None))
         self._compiler = Compiler(prepare, self.post, self._show_progress, self.say, self._launch)
         self._ringdown = RingDown(measure, self.post, self._page.charts.show_damping)
@@ -79,8 +84,13 @@ class Lab:
 
     @property
     def url(self) -> str:
-        """Where the page is, with the port that was really taken."""
-        return self._page.url
+        """Where the page is, with the port that was really taken, for whoever started it."""
+        return self._page.access.host_address(self._page.url)
+
+    @property
+    def guest_url(self) -> str:
+        """The same, for everybody else."""
+        return self._page.access.guest_address(self._page.url)
 
     @property
     def comparison(self) -> Comparison:

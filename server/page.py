@@ -7,6 +7,7 @@ import io
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from server.access import Access, own_address
 from server.bench import Bench
 from server.charts import MEASURE, Charts
 from server.clock import FRAME
@@ -18,7 +19,7 @@ from server.lane import Frame
 from server.palette import BRAND
 from server.panel import Panel
 from server.stage import Stage
-from server.style import LEFT_WIDTH, RIGHT_WIDTH
+from server.style import LEFT_WIDTH, RIGHT_WIDTH, WATCHING
 from sim.mesh import Mesh
 from sim.scene import Scene
 from sim.settings import FIELDS
@@ -42,14 +43,15 @@ class Page:
         port: Port to listen on; the next free one is taken where it is not free.
         scenes: Names of the scenes that can be opened.
         scene: Name of the one to begin with.
+        access: Whom to let in.
 
     Raises:
         ValueError: if nothing can listen there.
     """
 
-    def __init__(self, lab: Lab, host: str, port: int, scenes: list[str], scene: str):
-        self._host = host
-        self.server, guard = open_server(host, port)
+    def __init__(self, lab: Lab, host: str, port: int, scenes: list[str], scene: str, access: Access):
+        self._host, self.access = host, access
+        self.server, guard = open_server(host, port, access)
         guard.on_refusal = lambda line: lab.post(lab.say, line)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND[:3])
         self.panel = Panel(self.server, guard, lab, scenes, scene)
@@ -63,12 +65,14 @@ class Page:
 
         @self.server.on_client_connect
         def _(client: Any) -> None:
+            if not guard.may_act(client.client_id):
+                client.gui.add_html(WATCHING, order=-1.0)
             lab.post(self.stage.frame_view, client, LEFT_WIDTH + RIGHT_WIDTH)
 
     @property
     def url(self) -> str:
-        """Where the page is, with the port that was really taken."""
-        host = "localhost" if self._host in ("0.0.0.0", "::") else self._host
+        """Where the page is, with the port that was really taken, without any token."""
+        host = own_address() if self._host in ("0.0.0.0", "::", "") else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.server.get_port()}"
 
     @property
@@ -134,7 +138,8 @@ class Page:
         """Say how time runs, and what is waited for or went wrong."""
         time = bench.clock.time if bench.ready else None
         factor = bench.clock.real_time_factor if bench.playing else None
-        self.panel.show_status(bench.playing, time, factor, self._note or self._waiting)
+        crowd = len(self.server.get_clients())
+        self.panel.show_status(bench.playing, time, factor, self._note or self._waiting, crowd)
 
     def wait_for(self, what: str, share: float = 0.0) -> None:
         """Say what all variants wait for, and which share of it is done; an empty text ends the wait."""

@@ -194,12 +194,14 @@ class Panel:
         """Say whether mesh lines are drawn."""
         self._lines.value = visible
 
-    def show_status(self, playing: bool, time: float | None, factor: float | None, note: str) -> None:
-        """Say how time runs, and the last thing that went wrong."""
+    def show_status(
+        self, playing: bool, time: float | None, factor: float | None, note: str, crowd: int = 1
+    ) -> None:
+        """Say how time runs, how many look on, and the last thing that went wrong."""
         options = (PAUSE if playing else PLAY, STEP, RESET)
         if self._transport.options != options:
             self._transport.options = options
-        content = style.status(playing, time, factor, escape(note))
+        content = style.status(playing, time, factor, escape(note), crowd)
         if self._status.content != content:
             self._status.content = content
 

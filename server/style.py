@@ -58,12 +58,25 @@ def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
     return f'<div class="muslin"><p><b>{escape(title)}.</b> {escape(look_for)}</p>{tried}</div>'
 
 
-def status(playing: bool, time: float | None, factor: float | None, note: str) -> str:
-    """How time runs; `note` is HTML."""
+SHARED = "Everyone who connects shares this simulation: all see the same cloths, and each looks around alone."
+"""What it means that several are here."""
+
+WATCHING = (
+    f'<div class="muslin watching" title="{SHARED}"><p><b>You are watching.</b> Look around freely; '
+    "the controls are the host's.</p></div><style>"
+    ".mantine-Slider-root,.mantine-Input-wrapper,.mantine-Button-root,.mantine-Checkbox-root"
+    "{pointer-events:none;opacity:.55}</style>"
+)
+"""Tops the page of somebody who may only watch, and greys its controls."""
+
+
+def status(playing: bool, time: float | None, factor: float | None, note: str, crowd: int = 1) -> str:
+    """How time runs, and how many look on; `note` is HTML."""
     clock = UNKNOWN if time is None else f"{time:.2f} s"
     rate = f"{factor:.2f} × real time" if factor is not None else ("measuring" if playing else "paused")
     rate = rate if time is not None else UNKNOWN
-    line = f'<p style="margin:0" class="dim">time <b>{clock}</b> &nbsp;·&nbsp; {rate}</p>'
+    here = f' &nbsp;·&nbsp; <span title="{SHARED}">{crowd} pages</span>' if crowd > 1 else ""
+    line = f'<p style="margin:0" class="dim">time <b>{clock}</b> &nbsp;·&nbsp; {rate}{here}</p>'
     return f'<div class="muslin">{line}{f"<p><b>{note}</b></p>" if note else ""}</div>'
 
 

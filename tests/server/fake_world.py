@@ -91,14 +91,14 @@ def wait_until(condition, seconds=20.0):
 class RawClient:
     """A websocket that speaks viser's protocol and says whatever a test wants it to."""
 
-    def __init__(self, url: str, origin: str | None = None):
+    def __init__(self, url: str, origin: str | None = None, **headers: str):
         self.controls: dict[str, dict] = {}
         self.values: dict[str, object] = {}
         self.messages: list[dict] = []
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
-        headers = {"Origin": origin} if origin else {}
+        headers |= {"Origin": origin} if origin else {}
         self._socket = self._do(self._connect(url.replace("http", "ws"), headers))
         self._reader = asyncio.run_coroutine_threadsafe(self._read(), self._loop)
 

@@ -60,7 +60,9 @@ def test_a_stopped_variant_says_its_quantity_and_the_likeliest_setting_in_the_do
 ):
     assert "load of vertex 3 is too heavy" in said(client)
     assert "Likeliest: <b>density 200 kg/m²</b>" in said(client)
-    texts = [m["updates"]["text"] for m in client.messages if "text" in m.get("updates", {})]
+    texts = [
+        m["updates"]["text"].replace("\n", " ") for m in client.messages if "text" in m.get("updates", {})
+    ]
     assert any("stopped" in t and "too heavy" in t and "likeliest: density 200 kg/m²" in t for t in texts)
     hint = state(client, button(client, UNDO))["hint"]
     assert hint.startswith("Back to before density (left): 0.2 kg/m² → 200 kg/m²")
