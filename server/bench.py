@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from time import perf_counter
 from typing import Any
 
 from server.clock import Clock
@@ -58,8 +59,9 @@ class Bench:
         """End all lanes. A step that is being made is waited for, but not for long."""
         for lane in self.lanes:
             lane.stop()
+        deadline = perf_counter() + 2.0
         for lane in self.lanes:
-            lane.join(timeout=2)
+            lane.join(timeout=max(0.0, deadline - perf_counter()))
 
     @property
     def ready(self) -> bool:

@@ -54,7 +54,7 @@ MAX_MESSAGE = 2**20
 MOST_CLIENTS = 100
 """Connections at a time; whoever comes after is asked to come later."""
 
-PACE, BURST = 150.0, 150.0
+PACE, BURST = 250.0, 250.0
 """Messages a second that one client is listened to, and how many at once after a rest.
 
 A browser sends some 20 of each control that is dragged and 50 of its camera."""
@@ -279,7 +279,7 @@ class Guard:
     """
 
     def __init__(self, server: viser.ViserServer, roles: weakref.WeakKeyDictionary[Any, Role]):
-        self._roles = roles
+        self._roles, self._clients = roles, server._connected_clients
         self.on_refusal: Callable[[str], None] = lambda line: None
         self._wire = server._websock_server
         self._viser_update = server.gui._handle_gui_updates
@@ -304,7 +304,9 @@ class Guard:
         return connection is not None and self._roles.get(connection) is Role.ACTS
 
     async def _handle(self, client_id: Any, message: Any) -> None:
-        if self.may_act(client_id):
+        # Somebody whose camera viser does not know yet, or no more, is nobody to its callbacks: it would show
+        # the new value on all pages and tell no one of it.
+        if self.may_act(client_id) and client_id in self._clients:
             await self._viser_handle(client_id, message)
         elif isinstance(message, messages.GuiUpdateMessage) and message.uuid in self._watched:
             self._correct(self._watched[message.uuid][0])

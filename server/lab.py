@@ -7,9 +7,7 @@ is not `post`, `start` or `stop` runs in the lab's thread, so nothing of it need
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import queue
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -21,6 +19,7 @@ from server.bench import Bench
 from server.comparison import Comparison
 from server.compiler import Compiler, Prepare, compile_kernels
 from server.history import History, changed
+from server.inbox import Inbox
 from server.lane import Frame
 from server.page import READ_EVERY, Page
 from server.palette import MAX_VARIANTS
@@ -73,7 +72,7 @@ class Lab:
         self._scenes = {path.stem: str(path) for path in scene_files()} | {self._scene.name: str(scene)}
         self._comparison = Comparison.of_scene(self._scene)
         self._history = History()
-        self._inbox: queue.SimpleQueue = queue.SimpleQueue()
+        self._inbox = Inbox(settling=(self.set_shared, self.set_own))
         self._stopping = threading.Event()
         access = Access.at(host, view_only)
         self._page = Page(self, host, port, list(self._scenes), self._scene.name, access)
@@ -120,29 +119,20 @@ class Lab:
 
     def post(self, action: Callable, *args: Any) -> None:
         """Have the lab's thread call `action(*args)` soon. Any thread may post."""
-        self._inbox.put((action, args))
+        self._inbox.post(action, *args)
 
     # The loop: do what was posted, take in finished frames, start the next, show the finished ones meanwhile.
 
     def _run(self) -> None:
         while not self._stopping.is_set():
             try:
-                self._act()
+                wait = self._bench.wait()
+                self._inbox.act(READ_EVERY if wait is None else max(wait, 1e-3))
                 self._bench.collect()
                 self._bench.advance()
                 self._page.publish(self._bench, self._comparison, self._history)
             except Exception:  # a mistake in one part of the page must not stop the clock
                 _log.exception("the page could not do what it was asked")
-
-    def _act(self) -> None:
-        """Do all that was posted; with nothing posted, wait until the next frame is due."""
-        wait = self._bench.wait()
-        with contextlib.suppress(queue.Empty):
-            action, args = self._inbox.get(timeout=READ_EVERY if wait is None else max(wait, 1e-3))
-            action(*args)
-            while not self._inbox.empty():
-                action, args = self._inbox.get()
-                action(*args)
 
     # What the page can ask for. Values have been checked by the guard.
 

@@ -109,6 +109,47 @@ def test_a_request_without_the_token_is_refused_in_one_friendly_line(open_lab, q
     assert body.count(b"\n") == 1
 
 
+def test_a_websocket_without_the_token_is_refused(open_lab):
+    lab = open_lab(host="0.0.0.0")
+    with pytest.raises(InvalidStatus) as refused:
+        RawClient(local(lab.url).partition("/?")[0])
+    assert refused.value.response.status_code == 403
+
+
+def test_the_address_gives_a_cookie_and_leads_on_without_its_token_and_the_cookie_opens_the_rest(open_lab):
+    lab = open_lab(host="0.0.0.0")
+    response, _ = get(local(lab.url))
+    assert (response.status, response.getheader("Location")) == (303, "/")
+    given = response.getheader("Set-Cookie")
+    assert "HttpOnly" in given
+    held = given.partition(";")[0]
+    page = local(lab.url).partition("/?")[0]
+    response, body = get(page, Cookie=f"a=b; {held}")
+    assert response.status == 200
+    assert b"<html" in body
+    client = RawClient(page, origin=page, Cookie=held)
+    wait_until(lambda: client.controls)
+    client.close()
+
+
+def test_a_program_may_carry_the_token_in_the_address_of_its_websocket(open_lab):
+    lab = open_lab(host="0.0.0.0")
+    client = RawClient(local(lab.url))
+    client.look()
+    client.set(client.find("damping ratio γ"), 0.5)
+    wait_until(lambda: lab.comparison.shared.gamma == 0.5)
+    client.close()
+
+
+def test_the_printed_address_is_one_that_others_can_reach(open_lab):
+    host = urlsplit(open_lab(host="0.0.0.0").url).hostname
+    assert host not in ("0.0.0.0", "localhost")
+
+
+def texts(client):
+    return " ".join(m["props"].get("content", "") for m in list(client.controls.values()))
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_of_somebody_who_watches_the_camera_alone_is_heard(open_lab, host):
     lab = open_lab(host=host, view_only=True)

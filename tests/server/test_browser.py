@@ -262,8 +262,8 @@ def test_a_browser_is_let_in_by_its_address_which_shows_no_token_then_and_a_gues
     guest.get_by_text("You are watching.").wait_for()
     assert teacher.get_by_text("You are watching.").count() == 0
     drag_by_keys(guest, "damping ratio γ", "ArrowRight", 3)
-    drag_by_keys(teacher, "friction", "ArrowRight", 2)
-    wait_until(lambda: lab.comparison.shared.friction == pytest.approx(0.31), seconds=60)
+    drag_by_keys(teacher, "rest angle", "ArrowRight", 2)
+    wait_until(lambda: lab.comparison.shared.rest_angle == pytest.approx(0.02), seconds=60)
     assert lab.comparison.shared.gamma == 0.2
     slider = row(guest, "damping ratio γ").get_by_role("slider")
     wait_until(lambda: float(slider.get_attribute("aria-valuenow")) == 0.2, seconds=60)
