@@ -177,7 +177,7 @@ def test_box_beside_a_log_slider_refuses_what_is_out_of_bounds(lab, client):
 
 
 def test_somebody_without_a_camera_changes_neither_the_simulation_nor_what_the_pages_show(lab, client):
-    """viser would show the value everywhere and tell nobody of it."""
+    """Viser would show the value everywhere and tell nobody of it."""
     early, uuid = RawClient(lab.url), client.find("damping ratio γ")
     early.find("damping ratio γ")
     early.set(uuid, 1.5)
@@ -207,8 +207,8 @@ def test_other_properties_of_a_control_cannot_be_set(lab, client):
 
 def test_a_client_can_upload_nothing(lab, client):
     """Each upload would be kept in memory, whatever its size, and for ever if it is never finished."""
-    wire = lab._page.server._websock_server
-    handle = lab._page.server.get_clients()[max(wire._live_connections)]
+    wait_until(lab._page.server.get_clients)
+    (handle,) = lab._page.server.get_clients().values()
     assert _messages.FileTransferStartUpload not in handle._websock_connection._incoming_handlers
     client.send(
         type="FileTransferStartUpload",
