@@ -80,6 +80,9 @@ OWN = {messages.ViewerCameraMessage}
 SETTLE = 0.8
 """Seconds until a control whose value was clamped or refused is shown as it is: a hand may be typing."""
 
+LOG_EVERY = 10.0
+"""Seconds between two lines about clients' nonsense, which would fill a disk otherwise."""
+
 _log = logging.getLogger(__name__)
 _construction = threading.Lock()
 
@@ -250,10 +253,25 @@ def _behind(door: Door) -> Iterator[None]:
         websockets.asyncio.server.serve = serve
 
 
-def _report(error: object) -> None:
-    """Log a client's nonsense as one line; with its traceback for whoever asks for debug messages."""
-    trace = error if isinstance(error, Exception) and _log.isEnabledFor(logging.DEBUG) else None
-    _log.warning("a message from a page was dropped: %s", " ".join(repr(error).split())[:100], exc_info=trace)
+class _Nonsense:
+    """Logs what clients send as one line, now and then; with its traceback for whoever asks for those."""
+
+    def __init__(self) -> None:
+        self._silent_until, self._unsaid = 0.0, 0
+
+    def report(self, error: object) -> None:
+        """Log it, or count it where another was logged lately."""
+        if time.monotonic() < self._silent_until:
+            self._unsaid += 1
+            return
+        more = f", and {self._unsaid} before it" if self._unsaid else ""
+        self._silent_until, self._unsaid = time.monotonic() + LOG_EVERY, 0
+        trace = error if isinstance(error, Exception) and _log.isEnabledFor(logging.DEBUG) else None
+        what = " ".join(repr(error).split())[:100]
+        _log.warning("a message from a page was dropped: %s%s", what, more, exc_info=trace)
+
+
+_report = _Nonsense().report
 
 
 def handle_id(handle: Any) -> str:
