@@ -16,7 +16,7 @@ ENOUGH = 5
 
 
 def within(seconds: float) -> Callable:
-    """Decorates a hypothesis test, above `given`: as many of its examples as fit in a time, ENOUGH at least."""
+    """Decorates a hypothesis test, above `given`: as many examples as fit in a time, ENOUGH at least."""
 
     def decorate(test: Callable) -> Callable:
         inner, begin, tried = test.hypothesis.inner_test, None, 0
