@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from time import perf_counter
 from typing import Any
 
 from server.clock import Clock
@@ -58,8 +59,9 @@ class Bench:
         """End all lanes. A step that is being made is waited for, but not for long."""
         for lane in self.lanes:
             lane.stop()
+        deadline = perf_counter() + 2.0
         for lane in self.lanes:
-            lane.join(timeout=2)
+            lane.join(timeout=max(0.0, deadline - perf_counter()))
 
     @property
     def ready(self) -> bool:
@@ -90,11 +92,11 @@ class Bench:
         self.meters = [Meter() for _ in self.meters]
         self.clock.reset()
 
-    def change(self, index: int, name: str, value: Any, settings: Settings) -> None:
-        """Change one setting of one variant, which has all these `settings` then."""
+    def change(self, index: int, changes: Mapping[str, Any], settings: Settings) -> None:
+        """Change some settings of one variant, which has all these `settings` then."""
         lane = self.lanes[index]
         if lane.ready:
-            lane.send(Change({name: value}))
+            lane.send(Change(changes))
         else:  # it could not even start with the settings before
             lane.send(Reset(settings))
 

@@ -34,7 +34,9 @@ class Lab:
     port: int = 8080
     """Where to serve the page; the next free port if this one is taken."""
     host: str = "127.0.0.1"
-    """Address to listen on; any but this computer's own lets everybody there in, without a password."""
+    """Address to listen on; beyond this computer, whoever has the printed address and its token."""
+    view_only: bool = False
+    """Others watch: only the first printed address moves the controls."""
     no_browser: bool = False
     """Only serve the page."""
 
@@ -45,7 +47,7 @@ class Lab:
         load_scene(self.scene)
         from server.launch import run_lab
 
-        run_lab(self.scene, self.host, self.port, not self.no_browser)
+        run_lab(self.scene, self.host, self.port, not self.no_browser, self.view_only)
         return 0
 
 

@@ -1,4 +1,4 @@
-"""What the page accepts from a network: same-origin browsers, a few kinds of message, checked values.
+"""What the page accepts from a network: whom it knows, a few kinds of message, checked values, at a pace.
 
 viser answers anyone who can reach its port: it takes websockets from foreign pages, opens a public tunnel
 when a client sends the message for it, and stores whatever value (or property) of a control a client sends.
@@ -10,8 +10,14 @@ Policy:
              made to point here (DNS rebinding) is refused.
     Origin   must be the page's own. A browser always sends one with a websocket; a request without one is a
              program on this machine or network, which could forge it anyway, and is let through.
-    Message  only values of controls, commands and pointer events of the 3-D view are handled.
+    Token    must be right where other computers can reach the page (server/access.py).
+    Message  only values of controls, commands and pointer events of the 3-D view are handled; of somebody who
+             only watches, none: viser hears of his camera alone.
     Value    a control's value passes its check before viser sees it: clamped, or refused and shown as it was.
+    Pace     nobody is listened to faster than a hand can move. What comes faster waits in the sender's own
+             computer, so that nothing is lost and nothing piles up here.
+    Backlog  what is sent to a page that does not keep up is bounded, so that it skips frames and does not lag
+             behind; one that does not answer at all is hung up on by websockets' own pings.
 """
 
 from __future__ import annotations
@@ -25,7 +31,9 @@ import ipaddress
 import logging
 import socket
 import threading
+import time
 import warnings
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -35,11 +43,24 @@ import viser
 import websockets.asyncio.server
 from viser import _messages as messages
 
+from server.access import ASK, Access, Role, cookie, cookie_name, token_in, tokens_in
+
 Check = Callable[[Any], Any]
 """Gives the value that a control may take for the one a client sent; raises ValueError to refuse it."""
 
 MAX_MESSAGE = 2**20
 """Largest message [bytes] taken from a client; a control's value needs a few hundred."""
+
+MOST_CLIENTS = 100
+"""Connections at a time; whoever comes after is asked to come later."""
+
+PACE, BURST = 250.0, 250.0
+"""Messages a second that one client is listened to, and how many at once after a rest.
+
+A browser sends some 20 of each control that is dragged and 50 of its camera."""
+
+BACKLOG = 2**18
+"""Bytes that the system is asked to hold, at most, for a client that does not keep up."""
 
 PORTS = 1000
 """How many ports are tried before giving up, as viser does."""
@@ -51,10 +72,16 @@ HANDLED = {
     messages.SceneNodeDragMessage,
     messages.ScenePointerMessage,
 }
-"""The messages from clients that reach viser at all; each client's own camera comes on top."""
+"""The messages from clients that reach viser at all."""
+
+OWN = {messages.ViewerCameraMessage}
+"""What comes on top from each client for itself alone."""
 
 SETTLE = 0.8
 """Seconds until a control whose value was clamped or refused is shown as it is: a hand may be typing."""
+
+LOG_EVERY = 10.0
+"""Seconds between two lines about clients' nonsense, which would fill a disk otherwise."""
 
 _log = logging.getLogger(__name__)
 _construction = threading.Lock()
@@ -90,8 +117,13 @@ def _is_own_name(name: str) -> bool:
     return True
 
 
-def open_server(host: str, port: int) -> tuple[viser.ViserServer, Guard]:
+def open_server(host: str, port: int, access: Access | None = None) -> tuple[viser.ViserServer, Guard]:
     """Start a viser server behind a guard, without viser's own greeting on the terminal.
+
+    Args:
+        host: Address to listen at.
+        port: Port to listen on.
+        access: Whom to let in; everybody who can reach it if left out.
 
     Returns:
         The server, already listening (on another port than asked for where that one was taken: see
@@ -100,12 +132,13 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Guard]:
     Raises:
         ValueError: if nothing can listen there; viser itself would wait for ever.
     """
-    port = free_port(host, port)
+    port, roles = free_port(host, port), weakref.WeakKeyDictionary()
+    door = Door(access or Access(), roles)
     # A client may leave between being asked after and being sent its camera; nobody needs to hear of it.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
-    with _construction, _checked_handshakes(), contextlib.redirect_stdout(io.StringIO()):
+    with _construction, _behind(door), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="Muslin", verbose=False)
-    return server, Guard(server)
+    return server, Guard(server, roles)
 
 
 def free_port(host: str, port: int) -> int:
@@ -128,41 +161,117 @@ async def _listen_once(host: str, port: int) -> None:
     server.close()
 
 
+class Door:
+    """Decides on each request, and on what terms a connection is served.
+
+    Args:
+        access: Whom to let in.
+        roles: Where to note what each connection may do.
+    """
+
+    def __init__(self, access: Access, roles: weakref.WeakKeyDictionary[Any, Role]):
+        self._access, self._roles = access, roles
+        self._inside = 0
+
+    def answer(self, connection: Any, request: Any, serve: Callable) -> Any:
+        """The response to a request; None lets a websocket in."""
+        headers = request.headers
+        try:
+            reason = refusal(headers)
+        except LookupError:  # some header twice
+            reason = "a header is there twice"
+        if reason is not None:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, f"Refused: {reason}.\n")
+        port = (_authority(f"http://{headers['Host']}") or ("", 80))[1]
+        token, path = token_in(request.path)
+        role = self._access.role([token, *tokens_in(headers.get_all("Cookie"), cookie_name(port))])
+        if role is None:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, f"Refused: {ASK}.\n")
+        if headers.get("Upgrade", "").lower() == "websocket":
+            if self._inside >= MOST_CLIENTS:
+                return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "Too many pages are open.\n")
+            self._roles[connection] = role
+        elif token and self._access.role([token]) is not None:
+            response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
+            response.headers["Location"] = path
+            response.headers["Set-Cookie"] = cookie(port, token)
+            return response
+        return serve(connection, request)
+
+    async def serve(self, connection: Any, handler: Callable) -> None:
+        """Let viser handle a connection, at a pace and with a bounded backlog, whatever a client sends."""
+        self._inside += 1
+        try:
+            connection.recv = _paced(connection.recv)
+            connection.transport.get_extra_info("socket").setsockopt(
+                socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG
+            )
+            await handler(connection)
+        except Exception as error:  # what a client sent; websockets would print a traceback
+            _report(error)
+            await connection.close(1007)
+        finally:
+            self._inside -= 1
+
+
+def _paced(receive: Callable) -> Callable:
+    """The same, but no more than PACE messages a second after the first BURST (a token bucket)."""
+    left, last = BURST, time.monotonic()
+
+    async def paced(*args: Any, **options: Any) -> Any:
+        nonlocal left, last
+        now = time.monotonic()
+        left, last = min(BURST, left + PACE * (now - last)), now
+        if left < 1.0:
+            await asyncio.sleep((1.0 - left) / PACE)
+        left -= 1.0
+        return await receive(*args, **options)
+
+    return paced
+
+
 @contextlib.contextmanager
-def _checked_handshakes() -> Iterator[None]:
-    """While in force, servers that are started ask `refusal` before they answer a request.
+def _behind(door: Door) -> Iterator[None]:
+    """While in force, servers that are started stand behind a door.
 
     A connection that sends garbage is closed with one line in the log.
     """
     serve = websockets.asyncio.server.serve
 
-    def checked_serve(handler: Callable, *args: Any, process_request: Callable, **options: Any):
-        async def handle(connection: Any) -> None:
-            try:
-                await handler(connection)
-            except Exception as error:  # what a client sent; websockets would print a traceback
-                _report(error)
-                await connection.close(1007)
+    def guarded(handler: Callable, *args: Any, process_request: Callable, **options: Any):
+        return serve(
+            lambda connection: door.serve(connection, handler),
+            *args,
+            process_request=lambda connection, request: door.answer(connection, request, process_request),
+            **{**options, "max_size": MAX_MESSAGE},
+        )
 
-        def check_first(connection: Any, request: Any):
-            reason = refusal(request.headers)
-            if reason is None:
-                return process_request(connection, request)
-            return connection.respond(http.HTTPStatus.FORBIDDEN, f"Refused: {reason}.\n")
-
-        return serve(handle, *args, process_request=check_first, **{**options, "max_size": MAX_MESSAGE})
-
-    websockets.asyncio.server.serve = checked_serve
+    websockets.asyncio.server.serve = guarded
     try:
         yield
     finally:
         websockets.asyncio.server.serve = serve
 
 
-def _report(error: object) -> None:
-    """Log a client's nonsense as one line; with its traceback for whoever asks for debug messages."""
-    trace = error if isinstance(error, Exception) and _log.isEnabledFor(logging.DEBUG) else None
-    _log.warning("a message from a page was dropped: %s", " ".join(repr(error).split())[:100], exc_info=trace)
+class _Nonsense:
+    """Logs what clients send as one line, now and then; with its traceback for whoever asks for those."""
+
+    def __init__(self) -> None:
+        self._silent_until, self._unsaid = 0.0, 0
+
+    def report(self, error: object) -> None:
+        """Log it, or count it where another was logged lately."""
+        if time.monotonic() < self._silent_until:
+            self._unsaid += 1
+            return
+        more = f", and {self._unsaid} before it" if self._unsaid else ""
+        self._silent_until, self._unsaid = time.monotonic() + LOG_EVERY, 0
+        trace = error if isinstance(error, Exception) and _log.isEnabledFor(logging.DEBUG) else None
+        what = " ".join(repr(error).split())[:100]
+        _log.warning("a message from a page was dropped: %s%s", what, more, exc_info=trace)
+
+
+_report = _Nonsense().report
 
 
 def handle_id(handle: Any) -> str:
@@ -170,23 +279,35 @@ def handle_id(handle: Any) -> str:
     return handle._impl.uuid
 
 
+def _keep_only(wire: Any, kinds: set[type]) -> None:
+    """Have one side of viser hear of no other kinds of message."""
+    for kind in [kind for kind in wire._incoming_handlers if kind not in kinds]:
+        del wire._incoming_handlers[kind]
+
+
 class Guard:
     """Checks what clients send before viser acts on it.
+
+    Args:
+        server: What to guard.
+        roles: What each connection may do.
 
     Attributes:
         on_refusal: Called with one line whenever a value was refused.
     """
 
-    def __init__(self, server: viser.ViserServer):
+    def __init__(self, server: viser.ViserServer, roles: weakref.WeakKeyDictionary[Any, Role]):
+        self._roles, self._clients = roles, server._connected_clients
         self.on_refusal: Callable[[str], None] = lambda line: None
         self._wire = server._websock_server
         self._viser_update = server.gui._handle_gui_updates
         self._watched: dict[str, tuple[Any, Check]] = {}
         self._corrections: dict[str, asyncio.TimerHandle] = {}
-        handlers = self._wire._incoming_handlers
-        for kind in [kind for kind in handlers if kind not in HANDLED]:
-            del handlers[kind]
-        handlers[messages.GuiUpdateMessage] = [self._update]  # type: ignore[list-item]
+        _keep_only(self._wire, HANDLED)
+        self._wire._incoming_handlers[messages.GuiUpdateMessage] = [self._update]  # type: ignore[list-item]
+        self._viser_handle = self._wire._handle_incoming_message
+        self._wire._handle_incoming_message = self._handle  # type: ignore[method-assign]
+        self._wire.on_client_connect(lambda client: _keep_only(client, HANDLED | OWN))
         server.request_share_url = self._no_tunnel  # type: ignore[method-assign]
         loop = self._wire._background_event_loop
         assert loop is not None, "viser has started its loop by the time its server exists"
@@ -194,6 +315,19 @@ class Guard:
             loop.set_exception_handler,
             lambda _, context: _report(context.get("exception") or context.get("message")),
         )
+
+    def may_act(self, client_id: int) -> bool:
+        """Whether a client may do more than watch."""
+        connection = self._wire._live_connections.get(client_id)
+        return connection is not None and self._roles.get(connection) is Role.ACTS
+
+    async def _handle(self, client_id: Any, message: Any) -> None:
+        # Somebody whose camera viser does not know yet, or no more, is nobody to its callbacks: it would show
+        # the new value on all pages and tell no one of it.
+        if self.may_act(client_id) and client_id in self._clients:
+            await self._viser_handle(client_id, message)
+        elif isinstance(message, messages.GuiUpdateMessage) and message.uuid in self._watched:
+            self._correct(self._watched[message.uuid][0])
 
     def watch(self, handle: Any, check: Check) -> None:
         """Let clients set `handle` to what `check` makes of their value; without it they cannot at all."""
@@ -219,6 +353,8 @@ class Guard:
 
     def _correct(self, handle: Any, why: str = "") -> None:
         """Soon send everyone the value that the control really has; the sender's page shows what it sent."""
+        if handle_id(handle) in self._corrections:
+            return
 
         def correct() -> None:
             self._corrections.pop(handle_id(handle), None)

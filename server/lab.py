@@ -7,22 +7,24 @@ is not `post`, `start` or `stop` runs in the lab's thread, so nothing of it need
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import queue
 import threading
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
+from server.access import Access
 from server.bench import Bench
 from server.comparison import Comparison
 from server.compiler import Compiler, Prepare, compile_kernels
+from server.history import History, changed
+from server.inbox import Inbox
 from server.lane import Frame
 from server.page import READ_EVERY, Page
 from server.palette import MAX_VARIANTS
 from server.prober import Prober
+from server.rescue import made_safe
 from server.ringdown import RingDown, measure_damping
 from sim.effects import EFFECTS, switch
 from sim.mesh import build_mesh
@@ -51,6 +53,7 @@ class Lab:
         build: Makes a simulation of a scene with some settings.
         prepare: Compiles what a scene needs.
         measure: Measures the damping of a scene.
+        view_only: Let guests watch only; whoever has the host's address moves the controls.
 
     Raises:
         SceneError: if the scene cannot be used; nothing has been started then.
@@ -64,15 +67,19 @@ class Lab:
         build: Callable[[Scene, Settings], Any] = build_world,
         prepare: Prepare = compile_kernels,
         measure: Callable[[Scene], Any] = measure_damping,
+        *,
+        view_only: bool = False,
     ):
         self._scene = load_scene(scene)
         self._mesh = build_mesh(self._scene)
         self._build = build
         self._scenes = {path.stem: str(path) for path in scene_files()} | {self._scene.name: str(scene)}
         self._comparison = Comparison.of_scene(self._scene)
-        self._inbox: queue.SimpleQueue = queue.SimpleQueue()
+        self._history = History()
+        self._inbox = Inbox(settling=(self.set_shared, self.set_own))
         self._stopping = threading.Event()
-        self._page = Page(self, host, port, list(self._scenes), self._scene.name)
+        access = Access.at(host, view_only)
+        self._page = Page(self, host, port, list(self._scenes), self._scene.name, access)
         self._bench = Bench(lambda: self._page.watched, on_frame=lambda: self.post(lambda: None))
         self._compiler = Compiler(prepare, self.post, self._show_progress, self.say, self._launch)
         self._ringdown = RingDown(measure, self.post, self._page.charts.show_damping)
@@ -81,8 +88,13 @@ class Lab:
 
     @property
     def url(self) -> str:
-        """Where the page is, with the port that was really taken."""
-        return self._page.url
+        """Where the page is, with the port that was really taken, for whoever started it."""
+        return self._page.access.host_address(self._page.url)
+
+    @property
+    def guest_url(self) -> str:
+        """The same, for everybody else."""
+        return self._page.access.guest_address(self._page.url)
 
     @property
     def comparison(self) -> Comparison:
@@ -113,30 +125,21 @@ class Lab:
 
     def post(self, action: Callable, *args: Any) -> None:
         """Have the lab's thread call `action(*args)` soon. Any thread may post."""
-        self._inbox.put((action, args))
+        self._inbox.post(action, *args)
 
     # The loop: do what was posted, take in finished frames, start the next, show the finished ones meanwhile.
 
     def _run(self) -> None:
         while not self._stopping.is_set():
             try:
-                self._act()
+                wait = self._bench.wait()
+                self._inbox.act(READ_EVERY if wait is None else max(wait, 1e-3))
                 self._bench.collect()
                 self._bench.advance()
                 self._prober.tick(self._bench, self._page.watched)
-                self._page.publish(self._bench, self._comparison, self._prober.readings)
+                self._page.publish(self._bench, self._comparison, self._history, self._prober.readings)
             except Exception:  # a mistake in one part of the page must not stop the clock
                 _log.exception("the page could not do what it was asked")
-
-    def _act(self) -> None:
-        """Do all that was posted; with nothing posted, wait until the next frame is due."""
-        wait = self._bench.wait()
-        with contextlib.suppress(queue.Empty):
-            action, args = self._inbox.get(timeout=READ_EVERY if wait is None else max(wait, 1e-3))
-            action(*args)
-            while not self._inbox.empty():
-                action, args = self._inbox.get()
-                action(*args)
 
     # What the page can ask for. Values have been checked by the guard.
 
@@ -198,12 +201,8 @@ class Lab:
         """Change a setting of all variants."""
         if name == self._comparison.by:
             return
-        self._comparison = self._comparison.with_shared(name, value)
-        self._forget_damping()
-        self._page.panel.show_relevance(self._comparison)
-        for i in range(len(self._bench.lanes)):
-            self._bench.change(i, name, value, self._comparison.settings(i))
-            self._prober.changed(i)
+        self._history.note(self._comparison, name)
+        self._change(self._comparison.with_shared(name, value))
 
     def switch_effect(self, name: str, choice: str) -> None:
         """Have an effect in all variants "auto", "on" or "off"."""
@@ -227,13 +226,43 @@ class Lab:
         """Change the compared setting of one variant."""
         if index >= len(self._comparison.values):
             return
-        self._comparison = self._comparison.with_value(index, value)
-        self._forget_damping()
-        self._page.panel.show_relevance(self._comparison)
+        self._history.note(self._comparison, (self._comparison.by, index))
+        self._change(self._comparison.with_value(index, value))
         self._page.name_charts(self._comparison)
-        if self._bench.ready:
-            self._bench.change(index, self._comparison.by, value, self._comparison.settings(index))
-            self._prober.changed(index)
+
+    def _change(self, comparison: Comparison) -> None:
+        """Have other settings of the same variants, while they run."""
+        before, self._comparison = self._comparison, comparison
+        self._forget_damping()
+        self._page.panel.show_relevance(comparison)
+        for i in range(len(self._bench.lanes)):
+            old, new = before.settings(i), comparison.settings(i)
+            changes = {
+                name: getattr(new, name) for name in FIELDS if getattr(new, name) != getattr(old, name)
+            }
+            if changes:
+                self._bench.change(i, changes, new)
+                self._prober.changed(i)
+
+    def _change_on_page(self, comparison: Comparison, what: str) -> None:
+        """Have other settings that no control was moved to, and move the controls there."""
+        words = changed(self._comparison, comparison)
+        self._change(comparison)
+        self._page.panel.show_comparison(comparison)
+        self._page.name_charts(comparison)
+        self.say(f"{what}: {words}" if words else f"{what}: nothing")
+
+    def undo(self) -> None:
+        """Go back to the settings before the last change."""
+        self._change_on_page(self._history.undo() or self._comparison, "undone")
+
+    def make_safe(self) -> None:
+        """Put right what is out of the ordinary in variants that stand still."""
+        stopped = [i for i, frame in enumerate(self.frames) if frame.refused]
+        comparison = made_safe(self._comparison, stopped)
+        if comparison != self._comparison:
+            self._history.note(self._comparison, "safe settings")
+            self._change_on_page(comparison, "made safe")
 
     def find_settings(self, **budget: float) -> None:
         """Find settings that meet a budget, as `sim.budget.choose_settings` takes it, and set them.
@@ -294,6 +323,7 @@ class Lab:
     # Opening a scene: its still at once, then kernels in a thread, then one lane per variant.
 
     def _open(self) -> None:
+        self._history.clear()
         self._ringdown.stop()
         self._prober.clear()
         self._bench.clear(self._comparison.count)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import textwrap
 
+from server.comparison import value_text
 from server.digits import written
 from server.meter import Meter
 from server.prober import Reading
 from server.style import UNKNOWN
-from sim.settings import Settings
+from sim.settings import FIELDS, Settings
 from sim.springs import BENDING
 
 WIDTH = 34
 """Characters of a line; two cloths side by side leave no room for more."""
+
+ALARM_WIDTH = 27
+"""The same of what is written larger."""
 
 ON_PURPOSE = "wrong on purpose"
 """Said of a variant that shows a mistake."""
@@ -45,6 +49,14 @@ def may_tunnel(effect: object) -> bool:
     return TUNNELS in str(effect)
 
 
+def likeliest(blamed: str, settings: Settings | None) -> str:
+    """The setting most likely to blame and its value, in words; empty where none is named."""
+    if blamed not in FIELDS or settings is None:
+        return ""
+    field = FIELDS[blamed]
+    return f"{field.label} {value_text(field, getattr(settings, blamed))}"
+
+
 def effects(meter: Meter) -> dict[str, str]:
     """Each effect of the newest step and whether it ran, or why not; none before the first."""
     return getattr(meter.latest.report, "effects", None) or {}
@@ -62,15 +74,18 @@ def label(
         behind: Simulated time [s] that it lags behind the others after having been stopped.
         remark: What else is to be said of it.
     """
+    alarm = bool(meter.latest.refused)
+    said = [] if alarm else effects(meter).values()  # of a step that was done
     remarks = [
         remark,
         wrong_on_purpose(meter.latest.settings),
-        "▲ unstable step" if any(map(is_unstable, effects(meter).values())) else "",
-        "▲ may tunnel" if any(map(may_tunnel, effects(meter).values())) else "",
+        "▲ unstable step" if any(map(is_unstable, said)) else "",
+        "▲ may tunnel" if any(map(may_tunnel, said)) else "",
     ]
-    alarm = bool(meter.latest.refused)
     if alarm:
-        lines = [f"▲ {name} stopped", *textwrap.wrap(meter.latest.refused, WIDTH)[:4]]
+        why = textwrap.wrap(meter.latest.refused, ALARM_WIDTH, max_lines=4, placeholder=" …")
+        suspected = likeliest(meter.latest.blamed, meter.latest.settings)
+        lines = [f"▲ {name} stopped", *why, f"likeliest: {suspected}" if suspected else ""]
     elif waiting:
         lines = [name, waiting]
     else:

@@ -68,6 +68,7 @@ class Frame:
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
         settings: In force when the frame was made.
         refused: Why the last step was refused; empty while all is well.
+        blamed: The setting that is likeliest to blame for that; empty where none is.
         note: Why the last change of settings was refused; empty if it was not.
     """
 
@@ -82,6 +83,7 @@ class Frame:
     momentum: tuple[np.ndarray, np.ndarray] | None = None
     settings: Settings | None = None
     refused: str = ""
+    blamed: str = ""
     note: str = ""
 
 
@@ -110,7 +112,7 @@ class Lane(threading.Thread):
         self._report: Any = None
         self._doing = ("", 0.0)
         self._owed = 0.0
-        self._refused = self._note = ""
+        self._refused = self._blamed = self._note = ""
         self._spent: list[Mapping[str, float]] = []
 
     def send(self, command: Advance | Change | Reset | Ask) -> None:
@@ -184,7 +186,7 @@ class Lane(threading.Thread):
     def _start(self, settings: Settings) -> None:
         self._owed = 0.0
         self._spent = []
-        self._refused = self._note = ""
+        self._refused = self._blamed = self._note = ""
         self._doing = ("starting", perf_counter())
         self._world = self._report = None
         self.step_length = settings.dt
@@ -206,14 +208,14 @@ class Lane(threading.Thread):
             self._refuse("change failed", error)
             return
         self.step_length = self._world.settings.dt
-        self._refused = self._note = ""
+        self._refused = self._blamed = self._note = ""
 
     def _step(self) -> None:
         self._doing = ("stepping", perf_counter())
         try:
             report = self._world.step()
         except Exception as error:
-            self._refuse("step refused", error)
+            self._refuse("", error)
             return
         self._owed -= self.step_length
         self._spent.append(report.ms)
@@ -222,15 +224,16 @@ class Lane(threading.Thread):
     def _refuse(self, what: str, error: Exception) -> None:
         """Stand still and say why; errors that are no verdict of the simulation also go to the log."""
         self._owed = 0.0
-        self._refused = f"{what}: {error}"
+        self._refused = f"{what}: {getattr(error, 'reason', error)}".removeprefix(": ")
+        self._blamed = getattr(error, "setting", "")
         if type(error).__name__ not in ("StepError", "SceneError"):
-            _log.exception("variant stopped: %s", what)
+            _log.exception("variant stopped: %s", what or "no step")
 
     def _show(self) -> None:
         """Make the frame that others see."""
         world = self._world
         if world is None:
-            self.frame = Frame(refused=self._refused)
+            self.frame = Frame(refused=self._refused, blamed=self._blamed)
             return
         ledger = getattr(world, "ledger", None)
         self.frame = Frame(
@@ -245,6 +248,7 @@ class Lane(threading.Thread):
             momentum=world.momentum(),
             settings=world.settings,
             refused=self._refused,
+            blamed=self._blamed,
             note=self._note,
         )
         self._spent = []

@@ -8,18 +8,20 @@ from collections.abc import Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from server.access import Access, own_address
 from server.bench import Bench
 from server.charts import MEASURE, Charts
 from server.clock import FRAME
 from server.comparison import Comparison
 from server.guard import open_server
+from server.history import History
 from server.labels import label
 from server.lane import Frame
 from server.palette import BRAND
 from server.panel import Panel
 from server.prober import Reading
 from server.stage import Stage
-from server.style import LEFT_WIDTH, RIGHT_WIDTH
+from server.style import LEFT_WIDTH, RIGHT_WIDTH, WATCHING
 from sim.mesh import Mesh
 from sim.scene import Scene
 from sim.settings import FIELDS
@@ -43,14 +45,15 @@ class Page:
         port: Port to listen on; the next free one is taken where it is not free.
         scenes: Names of the scenes that can be opened.
         scene: Name of the one to begin with.
+        access: Whom to let in.
 
     Raises:
         ValueError: if nothing can listen there.
     """
 
-    def __init__(self, lab: Lab, host: str, port: int, scenes: list[str], scene: str):
-        self._host = host
-        self.server, guard = open_server(host, port)
+    def __init__(self, lab: Lab, host: str, port: int, scenes: list[str], scene: str, access: Access):
+        self._host, self.access = host, access
+        self.server, guard = open_server(host, port, access)
         guard.on_refusal = lambda line: lab.post(lab.say, line)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND[:3])
         self.panel = Panel(self.server, guard, lab, scenes, scene)
@@ -65,12 +68,14 @@ class Page:
 
         @self.server.on_client_connect
         def _(client: Any) -> None:
+            if not guard.may_act(client.client_id):
+                client.gui.add_html(WATCHING, order=-1.0)
             lab.post(self.stage.frame_view, client, LEFT_WIDTH + RIGHT_WIDTH)
 
     @property
     def url(self) -> str:
-        """Where the page is, with the port that was really taken."""
-        host = "localhost" if self._host in ("0.0.0.0", "::") else self._host
+        """Where the page is, with the port that was really taken, without any token."""
+        host = own_address() if self._host in ("0.0.0.0", "::", "") else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.server.get_port()}"
 
     @property
@@ -99,7 +104,9 @@ class Page:
         names = [comparison.short_name(i) for i in range(comparison.count)]
         self.charts.name(FIELDS[comparison.by].label if comparison.by else "", names)
 
-    def publish(self, bench: Bench, comparison: Comparison, readings: Sequence[Reading]) -> None:
+    def publish(
+        self, bench: Bench, comparison: Comparison, history: History, readings: Sequence[Reading]
+    ) -> None:
         """Show what is finished, FRAME apart at least, and numbers less often; nothing if nobody looks."""
         if not self.watched:
             return
@@ -113,6 +120,7 @@ class Page:
             for meter, reading in zip(bench.meters, readings, strict=False):
                 meter.reading = reading
             self._show_numbers(bench, comparison, now)
+            self.panel.rescue.show(comparison, bench.finished, history.last(comparison))
 
     def _show_numbers(self, bench: Bench, comparison: Comparison, now: float) -> None:
         meters = [meter.read() for meter in bench.meters]
@@ -137,7 +145,8 @@ class Page:
         """Say how time runs, and what is waited for or went wrong."""
         time = bench.clock.time if bench.ready else None
         factor = bench.clock.real_time_factor if bench.playing else None
-        self.panel.show_status(bench.playing, time, factor, self._note or self._waiting)
+        crowd = len(self.server.get_clients())
+        self.panel.show_status(bench.playing, time, factor, self._note or self._waiting, crowd)
 
     def wait_for(self, what: str, share: float = 0.0) -> None:
         """Say what all variants wait for, and which share of it is done; an empty text ends the wait."""

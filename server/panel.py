@@ -14,6 +14,7 @@ from server.controls import Control, make_control
 from server.guard import Guard
 from server.palette import MAX_VARIANTS, VARIANTS
 from server.relevance import why_idle
+from server.rescue import Rescue
 from server.switches import Switches
 from sim.scene import Scene
 from sim.settings import FIELDS
@@ -54,6 +55,7 @@ class Panel:
         )
         self._status = server.gui.add_html("")
         self._progress = server.gui.add_progress_bar(0.0, visible=False)
+        self.rescue = Rescue(server, guard, lab)
         self._by = self.choice(
             "compare by",
             list(self._by_label),
@@ -122,6 +124,7 @@ class Panel:
             ("Play or pause", "space", lab.toggle),
             ("One step", "N", lab.step),
             ("Reset", "R", lab.reset),
+            ("Undo the last change of a setting", "Z", lab.undo),
             ("Mesh lines on or off", "W", lambda: lab.show_lines(not self._lines.value)),
         )
         for label, key, action in commands:
@@ -196,12 +199,14 @@ class Panel:
         """Say whether mesh lines are drawn."""
         self._lines.value = visible
 
-    def show_status(self, playing: bool, time: float | None, factor: float | None, note: str) -> None:
-        """Say how time runs, and the last thing that went wrong."""
+    def show_status(
+        self, playing: bool, time: float | None, factor: float | None, note: str, crowd: int = 1
+    ) -> None:
+        """Say how time runs, how many look on, and the last thing that went wrong."""
         options = (PAUSE if playing else PLAY, STEP, RESET)
         if self._transport.options != options:
             self._transport.options = options
-        content = style.status(playing, time, factor, escape(note))
+        content = style.status(playing, time, factor, escape(note), crowd)
         if self._status.content != content:
             self._status.content = content
 

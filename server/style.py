@@ -39,6 +39,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
         ".muslin .rule>td{border-top:1px solid #d8d2c9}"
         "[role=tab]{padding:.7em .5em!important}[role=tab],[role=tab] *{font-size:12px!important}"
+        ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
         f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"
@@ -59,12 +60,25 @@ def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
     return f'<div class="muslin"><p><b>{escape(title)}.</b> {escape(look_for)}</p>{tried}</div>'
 
 
-def status(playing: bool, time: float | None, factor: float | None, note: str) -> str:
-    """How time runs; `note` is HTML."""
+SHARED = "Everyone who connects shares this simulation: all see the same cloths, and each looks around alone."
+"""What it means that several are here."""
+
+WATCHING = (
+    f'<div class="muslin watching" title="{SHARED}"><p><b>You are watching.</b> Look around freely; '
+    "the controls are the host's.</p></div><style>"
+    ".mantine-Slider-root,.mantine-Input-wrapper,.mantine-Button-root,.mantine-Checkbox-root"
+    "{pointer-events:none;opacity:.55}</style>"
+)
+"""Tops the page of somebody who may only watch, and greys its controls."""
+
+
+def status(playing: bool, time: float | None, factor: float | None, note: str, crowd: int = 1) -> str:
+    """How time runs, and how many look on; `note` is HTML."""
     clock = UNKNOWN if time is None else f"{time:.2f} s"
     rate = f"{factor:.2f} × real time" if factor is not None else ("measuring" if playing else "paused")
     rate = rate if time is not None else UNKNOWN
-    line = f'<p style="margin:0" class="dim">time <b>{clock}</b> &nbsp;·&nbsp; {rate}</p>'
+    here = f' &nbsp;·&nbsp; <span title="{SHARED}">{crowd} pages</span>' if crowd > 1 else ""
+    line = f'<p style="margin:0" class="dim">time <b>{clock}</b> &nbsp;·&nbsp; {rate}{here}</p>'
     return f'<div class="muslin">{line}{f"<p><b>{note}</b></p>" if note else ""}</div>'
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from sim.clearance import clearance_warnings, crossing_warnings
 from sim.mesh import Mesh, build_mesh
+from sim.repair import connected
 from sim.scene import Scene
+from sim.settings import Settings
 
 SLIVER = np.radians(1.0)
 """Triangles with an angle below this [rad] are counted: springs on them are stiff, and their hinges jumpy."""
@@ -25,7 +27,30 @@ def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
     mesh = build_mesh(scene)
     prefix = f"{scene.name}: "
     warnings = [w.removeprefix(prefix) for w in mesh.warnings]
-    return mesh, warnings + _sliver_warnings(mesh) + crossing_warnings(mesh) + clearance_warnings(mesh, scene)
+    warnings += _part_warnings(mesh) + _sliver_warnings(mesh) + _thickness_warnings(mesh, scene.settings)
+    return mesh, warnings + crossing_warnings(mesh) + clearance_warnings(mesh, scene)
+
+
+def _part_warnings(mesh: Mesh) -> list[str]:
+    """Where a piece of cloth is in parts that nothing joins, which is often a seam that was not welded."""
+    n = len(mesh.vertices)
+    part = connected(n, *mesh.edges.astype(np.int64).T)
+    warnings = []
+    for piece in range(int(mesh.pieces.max(initial=-1)) + 1):
+        count = len(np.unique(part[mesh.pieces == piece]))
+        if count > 1:
+            warnings.append(f"cloth[{piece}] is in {count:,} parts that nothing joins")
+    return warnings
+
+
+def _thickness_warnings(mesh: Mesh, settings: Settings) -> list[str]:
+    """Where cloth is to be thicker than half of its shortest edge: it would touch itself where it is flat."""
+    ends = mesh.rest_vertices[mesh.edges]
+    shortest = float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).min(initial=np.inf))
+    if settings.contact == "none" or settings.thickness <= 0.5 * shortest:
+        return []
+    expected = f"expected at most half of the shortest edge of {shortest:.2g} m"
+    return [f"thickness: {expected}, got {settings.thickness:g} m; cloth may keep less from itself"]
 
 
 def _sliver_warnings(mesh: Mesh) -> list[str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
@@ -71,7 +71,7 @@ SPRINGS = {"stretch": "stretch", "altitude": "altitudes", "bending": "bending"}
 """The effect of springs, by the setting that scales them."""
 
 
-def state(name: str, settings: Settings) -> str:
+def state(name: str, settings: Settings) -> Literal["auto", "on", "off"]:
     """Whether `settings` have an effect "off", "on" or "auto"."""
     effect = EFFECTS[name]
     if _hold(effect.off, settings):

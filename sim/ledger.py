@@ -14,10 +14,10 @@ to be.
 - linearisation: −v̄·L. A step that is solved to the end has none.
 - wind: the work of drag and lift, which S has, too.
 - strain limiting: −v̄ times what it gave after the solve.
-- integrator: wind − ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For backward
-  Euler without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares that a
-  step of it loses for every convex E, and for any other integrator what its own rule for x and v comes to.
-  Where contact moves vertices after the solve, which asks no spring, what springs gain by it is in here, too.
+- integrator: wind − ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For
+  backward Euler without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares
+  that a step of it loses for every convex E, and for any other integrator what its own rule for x and v comes
+  to. Where contact moves vertices after the solve, which asks no spring, what springs gain by it is in here.
 
 What is left, the residual, is v̄·(M (v₁ − v₀) − S − N − F − L) in each step, the work of a force that no
 entry knows: what the linear solver's tolerance left of the equation of motion; and any energy that changed
@@ -118,8 +118,8 @@ class Tally:
     """Impulses and work of a step's forces, integrated by the integrator along with the state.
 
     They are rows below the velocities: `n` each of S, L, N and F, then the powers of damping, of springs that
-    are wrong on purpose and of the wind, and, of what contacts push and rub with, the parts of obstacles. Below positions are
-    as many, which mean nothing.
+    are wrong on purpose and of the wind, and, of what contacts push and rub with, the parts of obstacles.
+    Below positions are as many, which mean nothing.
 
     Args:
         model: Springs and masses.

@@ -64,13 +64,14 @@ class Mesh:
 
 def build_mesh(scene: Scene) -> Mesh:
     """The meshes of `scene`; raises SceneError for arrays or files that are none."""
-    pieces = [
-        _piece(cloth, f"{scene.source}: cloth[{i}]", scene.folder) for i, cloth in enumerate(scene.cloth)
-    ]
+    pieces: list[_Piece] = []
+    total = 0
+    for i, cloth in enumerate(scene.cloth):
+        pieces.append(_piece(cloth, f"{scene.source}: cloth[{i}]", scene.folder))
+        total += len(pieces[-1].vertices)
+        if total > MAX_VERTICES:  # at once: many pieces of an allowed size would fill the memory
+            raise SceneError(f"{scene.source}: cloth: expected at most {MAX_VERTICES} vertices, got {total}")
     first = np.cumsum([0] + [len(p.vertices) for p in pieces])
-    total = int(first[-1])
-    if total > MAX_VERTICES:
-        raise SceneError(f"{scene.source}: cloth: expected at most {MAX_VERTICES} vertices, got {total}")
     triangles = np.concatenate([p.triangles + f for p, f in zip(pieces, first, strict=False)])
     extra = np.concatenate([p.edges + f for p, f in zip(pieces, first, strict=False)])
     hinges, hinge_warnings = _hinges(triangles, total)

@@ -82,7 +82,8 @@ def _count_obj(data: bytes) -> tuple[int, int, int]:
     return len(re.findall(rb"^[ \t]*v[ \t]", data, re.M)), len(re.findall(rb"^[ \t]*f[ \t]", data, re.M)), 0
 
 
-def _count_ply(data: bytes) -> tuple[int, int, int]:
+def count_ply(data: bytes) -> tuple[int, int, int]:
+    """The vertices, faces and all elements that a .ply claims to have."""
     header = data[: max(data.find(b"end_header"), 0)]
     found = re.findall(rb"^element[ \t]+(\S+)[ \t]+([0-9]+)", header, re.M)
     counts = {name: int(number) for name, number in found}
@@ -93,15 +94,15 @@ def _count_stl(data: bytes) -> tuple[None, int, int]:
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     if len(data) == 84 + 50 * claimed:
         return None, claimed, 0
-    return None, len(re.findall(rb"^\s*endfacet", data, re.M | re.I)), 0
+    return None, len(re.findall(rb"^[ \t]*endfacet", data, re.M | re.I)), 0
 
 
 def _count_off(data: bytes) -> tuple[int, int, int]:
-    found = re.match(rb"\s*C?OFF\s+(?:#[^\n]*\n\s*)*([0-9]+)[ \t]+([0-9]+)", data)
+    found = re.match(rb"\s*C?OFF\s+(?:#[^\n]*\n\s*)*+([0-9]+)[ \t]+([0-9]+)", data)
     if not found:
         raise ValueError("expected OFF and the numbers of vertices and faces at its start")
     vertices, faces = int(found[1]), int(found[2])
     return vertices, faces, vertices + faces
 
 
-_COUNTERS = {".obj": _count_obj, ".ply": _count_ply, ".stl": _count_stl, ".off": _count_off}
+_COUNTERS = {".obj": _count_obj, ".ply": count_ply, ".stl": _count_stl, ".off": _count_off}

@@ -9,13 +9,14 @@ coordinates part them, and spares `muslin check` the two seconds that importing 
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 
 from sim.given import FARTHEST
-from sim.meshclaims import MAX_TRIANGLES, declared_counts, mesh_bytes, mesh_path
+from sim.meshclaims import MAX_TRIANGLES, count_ply, declared_counts, mesh_bytes, mesh_path
 from sim.repair import repair_triangles, used_vertices
 from sim.scene import MAX_VERTICES
 
@@ -87,14 +88,14 @@ def _read_obj(data: bytes) -> Arrays:
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[str]]]:
     """The words of each line that has any, comments left out and continued lines joined."""
-    held = ""
-    for number, line in enumerate(data.decode("utf-8", errors="replace").splitlines(), 1):
-        line = held + line.partition("#")[0]
-        held = ""
-        if line.endswith("\\"):
-            held = line[:-1] + " "
-        elif words := line.split():
-            yield number, words
+    held: list[str] = []
+    for number, line in enumerate(io.StringIO(data.decode("utf-8", errors="replace")), 1):
+        line = line.partition("#")[0].rstrip("\r\n")
+        held += line.removesuffix("\\").split()
+        if not line.endswith("\\"):
+            if held:
+                yield number, held
+            held = []
 
 
 def _obj_index(word: str, count: int) -> int:
@@ -115,8 +116,10 @@ def _fan(corners: list[int]) -> list[tuple[int, int, int]]:
 def _read_with_trimesh(data: bytes, suffix: str) -> Arrays:
     import trimesh
 
-    if suffix == ".ply" and b"end_header" not in data:
-        raise ValueError("expected a PLY header that ends with end_header")
+    if suffix == ".ply":
+        data = _rows_of_ply(data)
+    elif suffix == ".off":  # of a megabyte of comments trimesh makes a hundred
+        data = re.sub(rb"^[ \t\r]*(?:#[^\n]*)?\n", b"", data, flags=re.M)
     try:
         # No resolver and no materials: nothing but these bytes is looked at, on disk or elsewhere.
         mesh = trimesh.load_mesh(
@@ -135,6 +138,20 @@ def _read_with_trimesh(data: bytes, suffix: str) -> Arrays:
     if vertices.size == 0 or triangles.size == 0:
         raise ValueError("expected triangles, got none")
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.int64)
+
+
+def _rows_of_ply(data: bytes) -> bytes:
+    """The same without what follows the rows that the header of an ascii .ply announces.
+
+    Trimesh makes an array of each line of it, in a gigabyte for a file of nothing else.
+    """
+    header, end, rows = data.partition(b"end_header")
+    if not end:
+        raise ValueError("expected a PLY header that ends with end_header")
+    if re.search(rb"^format[ \t]+ascii", header, re.M) is None:
+        return data
+    count = count_ply(data)[2] + 1  # and what is left of the header's last line
+    return header + end + b"\n".join(rows.split(b"\n", count)[:count])
 
 
 # Checks

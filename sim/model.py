@@ -179,7 +179,7 @@ class Model:
         return group, masses
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray, anew: bool = True) -> np.ndarray:
-        """(n, 3) elastic, damping, gravity and wind forces [N]; b `anew`, or that of the last linearisation."""
+        """(n, 3) elastic, damping, gravity and wind forces [N]; b `anew`, or as last linearised."""
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
         for springs, gather in zip(self.springs, self._gathers, strict=True):

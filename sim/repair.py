@@ -57,7 +57,7 @@ def wound_alike(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
         return triangles, []
     m = len(triangles)
     crossed = np.where(agree, 0, m)
-    cover = _labels(
+    cover = connected(
         2 * m, np.concatenate([first, first + m]), np.concatenate([second + crossed, second + m - crossed])
     )
     as_is, turned = cover[:m], cover[m:]
@@ -115,7 +115,7 @@ def _neighbours(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return a // 3, b // 3, start[a] != start[b]
 
 
-def _labels(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def connected(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """For each of n nodes, the smallest node that the pairs (a, b) connect it to.
 
     Hooks trees of labels together and halves their depth in turn (Shiloach and Vishkin 1982): a few dozen

@@ -12,12 +12,14 @@ class StepError(RuntimeError):
     """A step that could not be done; the state is as it was before.
 
     Attributes:
+        reason: Which quantity went wrong.
         phase: Where it failed: "detect", "solve" or "respond".
         setting: The setting most likely to blame.
     """
 
     def __init__(self, reason: str, phase: str, setting: str) -> None:
         super().__init__(f"{phase}: {reason}; the likeliest setting to blame is {setting}")
+        self.reason = reason
         self.phase = phase
         self.setting = setting
 

@@ -26,6 +26,9 @@ SCENES = Path(__file__).resolve().parent.parent / "static_scenes"
 MAX_VERTICES = 200_000
 """Larger cloth, or larger meshes of obstacles, are refused before anything is allocated for them."""
 
+MAX_PARTS = 1000
+"""Pieces of cloth, and obstacles, beyond which a scene is refused."""
+
 MAX_BYTES = 1_000_000
 """Scene files larger than this are refused before they are read; meshes go into files of their own."""
 
@@ -361,6 +364,9 @@ def _problems(scene: Scene):
                 f"cloth[{i}].resolution",
                 f"expected at most {MAX_VERTICES} vertices, got {math.prod(cloth.resolution)}",
             )
+    for key, parts in (("cloth", scene.cloth), ("obstacle", scene.obstacle)):
+        if len(parts) > MAX_PARTS:
+            yield key, f"expected at most {MAX_PARTS} of them, got {len(parts)}"
     for i, obstacle in enumerate(scene.obstacle):
         times = [key.time for key in obstacle.path]
         if any(later <= sooner for sooner, later in pairwise(times)):

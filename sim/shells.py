@@ -56,6 +56,7 @@ def read_shells(scene: Scene) -> tuple[tuple[Shell | None, ...], tuple[str, ...]
     """
     shells: list[Shell | None] = []
     warnings: list[str] = []
+    total = 0
     for i, part in enumerate(scene.obstacle):
         where = f"{scene.source}: obstacle[{i}]"
         shell, found = None, []
@@ -64,14 +65,13 @@ def read_shells(scene: Scene) -> tuple[tuple[Shell | None, ...], tuple[str, ...]
         elif isinstance(part, ShellArrays):
             shell, found = _from_arrays(part, where)
         shells.append(shell)
+        total += 0 if shell is None else len(shell.vertices)
+        if total > MAX_VERTICES:
+            reason = f"expected meshes of at most {MAX_VERTICES:,} vertices, got {total:,}"
+            raise SceneError(f"{scene.source}: obstacle: {reason}")
         warnings += [f"{where}: {line.removesuffix(PINS)}" for line in found]
         if shell is not None and (edges := shell.open_edges):
             warnings.append(f"{where}: {edges:,} open edges; the mesh has no inside")
-    total = sum(len(shell.vertices) for shell in shells if shell is not None)
-    if total > MAX_VERTICES:
-        raise SceneError(
-            f"{scene.source}: obstacle: expected meshes of at most {MAX_VERTICES:,} vertices, got {total:,}"
-        )
     return tuple(shells), tuple(warnings)
 
 

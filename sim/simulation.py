@@ -25,6 +25,7 @@ from sim.mesh import build_mesh
 from sim.model import Model
 from sim.ramp import Ramp
 from sim.report import StepError, StepReport
+from sim.safe import suspect
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError
@@ -305,7 +306,8 @@ class Simulation:
             try:
                 solution, report.integrator = take_step(self.model, springs, *way, tally)
             except SolveError as error:
-                raise StepError(str(error), "solve", self._suspect()) from None
+                raise StepError(str(error), "solve", suspect(self.settings)) from None
+            self._refuse_beyond_bounds(solution, "solve")  # before it is looked for what all of it meets
             if settings.strain_limit > 0.0:
                 return self._limited(settings, solution, report)
             return solution
@@ -318,10 +320,8 @@ class Simulation:
             try:
                 solution, touch = self.contact.through(*state, solve, report)
             except CandidateError as error:
-                raise StepError(str(error), "detect", self._suspect()) from None
-        calm = np.isfinite(solution.positions) & (np.abs(solution.velocities) < FASTEST)
-        if not calm.all():
-            raise StepError("positions or velocities are beyond all bounds", "respond", self._suspect())
+                raise StepError(str(error), "detect", suspect(self.settings)) from None
+        self._refuse_beyond_bounds(solution, "respond")
         report.newton, report.converged = solution.newton, solution.converged
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
@@ -339,6 +339,10 @@ class Simulation:
             found = shorten(*about, s.dt, end.positions, end.velocities)
             report.strain, report.limited = found
             return replace(end, limited=self.masses[:, None] * (end.velocities - before))
+
+    def _refuse_beyond_bounds(self, solution: Solution, phase: str) -> None:
+        if wild := beyond_bounds(solution.positions, solution.velocities):
+            raise StepError(wild, phase, suspect(self.settings))
 
     def _longest_way(self, end: np.ndarray) -> float:
         """How far [m] the step to `end` takes the vertex or the point of an obstacle that goes farthest.
@@ -370,21 +374,6 @@ class Simulation:
                 about = self.contact.parts, report.energy_injected, report.energy_jump, solution.rows
                 self._books = self._books.after(*about)
 
-    def _suspect(self) -> str:
-        """The setting most likely to make a step fail: the first that is far from where it does well."""
-        s = self.settings
-        if not INTEGRATORS[s.integrator].implicit:
-            return "dt"
-        far = {
-            "gravity": float(np.abs(s.gravity).max()) > 100.0,
-            "dt": s.dt > 1 / 30,
-            "stretch": s.stretch > 1e5,
-            "altitude": s.altitudes != "none" and s.altitude > 1e5,
-            "bending": s.bending > 1.0,
-            "gamma": s.gamma > 10.0,
-        }
-        return next((name for name, is_far in far.items() if is_far), "dt")
-
     def _effects(self, report: StepReport) -> dict[str, str]:
         if INTEGRATORS[self.settings.integrator].implicit:
             self._limit = None
@@ -392,6 +381,21 @@ class Simulation:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
         about = self.settings, self.model, report, bool(self.scene.obstacle), self._limit
         return self._told.tell(*about)
+
+
+def beyond_bounds(positions: np.ndarray, velocities: np.ndarray) -> str:
+    """Which quantity of which vertex no step may end with, and its value; empty where all is well."""
+    for name, unit, array, limit in (
+        ("position", "m", positions, np.inf),
+        ("velocity", "m/s", velocities, FASTEST),
+    ):
+        size = np.abs(array).max(axis=1)
+        wild = ~(size < limit)  # also where it is no number
+        if wild.any():
+            vertex = int(np.argmax(wild))
+            bound = f", beyond {limit:g}" if np.isfinite(limit) else ", which is not finite"
+            return f"{name} of vertex {vertex} is {size[vertex]:.3g} {unit}{bound}"
+    return ""
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

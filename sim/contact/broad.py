@@ -25,6 +25,15 @@ from sim.contact.surface import Surface, Tree
 MOST_CANDIDATES = 20_000_000
 """Pairs beyond which a list is refused: they would take more than 500 MB."""
 
+FEW, MOST_PER_FACE = 200_000, 500
+"""Pairs that any surface may have, and for each of its triangles; crumpled cloth has some fifteen of these.
+
+Cloth that blows up may meet itself anywhere: to look at all of that would take minutes, for a step that is of
+no use."""
+
+LOPSIDED = 8
+"""Part of all pairs that one of the CHUNKS may find before they are taken to be too many."""
+
 ROUNDING = 1e-9
 """Part by which skins are a little wider than they say."""
 
@@ -86,6 +95,11 @@ class BroadPhase:
         self._boxes = np.zeros((len(surface.faces), 6)), *np.zeros((2, len(tree.begin), 3))
         self._room = 64
 
+    @property
+    def most(self) -> int:
+        """Pairs beyond which a list is refused."""
+        return min(MOST_CANDIDATES, FEW + MOST_PER_FACE * len(self.surface.faces))
+
     def candidates(self, start: np.ndarray, end: np.ndarray, skin: float, reach: float) -> Candidates:
         """The pairs that may come within reach of each other on the way from start to end.
 
@@ -96,7 +110,7 @@ class BroadPhase:
             reach: Distance of a pair that counts [m].
 
         Raises:
-            CandidateError: where there are more than MOST_CANDIDATES.
+            CandidateError: where there are more than `most`.
         """
         way = end - start
         way -= way.mean(axis=0)  # where all go together they may as well stand still
@@ -109,13 +123,13 @@ class BroadPhase:
             )
             counts = np.zeros(CHUNKS, dtype=np.int64)
             about = self.surface, tree, self._role, start, way, room
-            _find(*about, *self._boxes, pairs, distance, counts)
+            _find(*about, *self._boxes, pairs, distance, counts, self.most // LOPSIDED)
             most, total = int(counts.max()), int(counts.sum())
             if most <= self._room:
                 break
-            if total > MOST_CANDIDATES:
+            if total > self.most or most > self.most // LOPSIDED:
                 raise CandidateError(
-                    f"{total:,} pairs may touch, and at most {MOST_CANDIDATES:,} are looked at"
+                    f"{total:,} pairs or more may touch, and at most {self.most:,} are looked at"
                 )
             self._room = most + most // 4
         found = np.concatenate([pairs[chunk, :count] for chunk, count in enumerate(counts)])
@@ -172,7 +186,7 @@ def fit(faces, begin, end, skip, start, way, room, boxes, low, high):
 
 
 @parallel_kernel
-def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts):
+def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts, most):
     """Find the pairs of elements that are no neighbours, then those among neighbours.
 
     Leaves are dealt like cards, as those early in the order have more to compare themselves with.
@@ -199,6 +213,7 @@ def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distan
             pairs[chunk],
             distance[chunk],
             chunk,
+            most,
         )
         counts[chunk] = _near_pairs(
             surface.faces,
@@ -238,10 +253,11 @@ def _query_leaves(
     pairs,
     distance,
     chunk,
+    most,
 ):
     count = 0
     for k in range(chunk, len(leaves), CHUNKS):
-        if count > MOST_CANDIDATES:  # it is refused anyway
+        if count > most:  # it is refused anyway
             break
         leaf = leaves[k]
         node = leaf

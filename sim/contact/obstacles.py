@@ -88,7 +88,7 @@ class Obstacles:
     def corners(self, poses: Poses, solid: Solid | None = None) -> np.ndarray:
         """(k, 3) where the vertices of mesh obstacles, all or those of `solid`, are in these poses [m]."""
         if solid is NO_SOLID:
-            return solid.vertices
+            return NO_SOLID.vertices
         turned = np.einsum("ijk,ik->ij", poses.rotation[self._part], self.solid.vertices)
         return poses.position[self._part] + turned
 

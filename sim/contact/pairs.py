@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.contact.broad import BroadPhase, Candidates, strayed
+from sim.contact.broad import BroadPhase, CandidateError, Candidates, strayed
 from sim.contact.contacts import NO_CONTACTS, Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
@@ -39,6 +39,9 @@ QUIET = 0.1
 MARGIN = 1e-9
 """Part of a distance that rounding may have taken off it, and far more than it does."""
 
+MOST_LISTS = 8
+"""Times the longest list that may be gone through in one step: what takes longer is cloth that blows up."""
+
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
@@ -62,6 +65,7 @@ class Pairs:
         lists: How many lists were made.
         looks: How often the pairs were looked at: where they are, or whether they meet.
         sweeps: How often it was looked whether they meet.
+        asked: Times a pair was asked whether it meets; for whoever takes a whole step to set to zero.
     """
 
     def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, own: bool, first_key: int) -> None:
@@ -78,6 +82,7 @@ class Pairs:
         self._broad = BroadPhase(self._surface, tree, movable, outside | own)
         ends = mesh.rest_vertices[mesh.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+        self.asked = 0
         self.forget()
 
     @property
@@ -105,7 +110,8 @@ class Pairs:
         self.thickness = min(thickness, THICK * self.edge)
         self._reach = FELT * self.thickness
         known = self._list
-        if self._old(known) or known.reach != self._reach or not known.hold_at(self._start):
+        other = known is None or self.exhaustive or known.reach != self._reach
+        if known is None or other or not known.hold_at(self._start):
             known = self._renew(self._start)
         self._bound(known)
         if self._apart > self._reach and not self.exhaustive:
@@ -148,14 +154,10 @@ class Pairs:
     def _listed(self, end: np.ndarray) -> Candidates:
         """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""
         way, known = (self._start, np.concatenate([end, self._after])), self._list
-        if self._old(known) or not known.hold_on(*way):
+        if known is None or self.exhaustive or not known.hold_on(*way):
             known = self._renew(way[1])
             self._bound(known)
         return known
-
-    def _old(self, known: Candidates | None) -> bool:
-        """Whether there is no list, or none is to be kept."""
-        return known is None or self.exhaustive
 
     def _bound(self, known: Candidates) -> None:
         """Set a lower bound of the distances of all pairs at the start; they are not measured."""
@@ -163,9 +165,14 @@ class Pairs:
         self._distance = np.zeros(0)
 
     def _look(self, pairs: Candidates) -> None:
-        """Measure the pairs, if there was no need before."""
+        """Measure the pairs, if there was no need before, as they are about to be asked whether they meet."""
         if len(self._distance) != len(pairs.kind):
             self._measure(pairs)
+        self.asked += len(pairs.kind)
+        if self.asked > MOST_LISTS * self._broad.most:
+            raise CandidateError(
+                f"{self.asked:,} times a pair was asked whether it meets, too often for one step"
+            )
 
     def _renew(self, end: np.ndarray) -> Candidates:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""

@@ -120,7 +120,7 @@ class Pipeline:
         pairs = self._pairs_for(settings)
         self.parts = []
         if pairs is not None:
-            pairs.lists = pairs.looks = pairs.sweeps = 0
+            pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
         end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
         if pairs is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
@@ -264,8 +264,8 @@ class Pipeline:
             return near
         if pairs is not None:
             with report.spent("self_collision"):
-                corners = (self.obstacles.corners(poses, pairs.solid) for poses in (way.before, way.after))
-                near = pairs.begin(way.x, *corners, s.dt, s.thickness)
+                before, after = (self.obstacles.corners(p, pairs.solid) for p in (way.before, way.after))
+                near = pairs.begin(way.x, before, after, s.dt, s.thickness)
         about = way.x, way.before, way.after, s.dt, s.thickness
         if s.obstacles == "off" or not self.obstacles.parts:
             self._faces.begin(*about, clear=True)

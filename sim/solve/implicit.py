@@ -145,7 +145,7 @@ def backward_euler(
                 linear = _solve(model, loose, settings, forces, change, *known, h)
             iterations += linear.iterations
         if linear.broken:
-            raise SolveError("the linear system is not positive definite or not finite")
+            raise SolveError(_what_broke(forces))
         step = linear.step
         small = h * float(np.abs(step).max(initial=0.0)) <= settings.tolerance
         if settings.newton > 1 and model.conservative:
@@ -176,6 +176,13 @@ def _modelled(model: Model, forces: np.ndarray, full: np.ndarray, step: np.ndarr
     product = np.empty_like(full)
     multiply(model.matrix, model.coupling, model.free, full, product, model.work.partial)
     return h * forces - product + model.masses[:, None] * step
+
+
+def _what_broke(forces: np.ndarray) -> str:
+    wild = ~np.isfinite(forces).all(axis=1)
+    if wild.any():
+        return f"force on vertex {int(np.argmax(wild))} is not finite"
+    return "matrix of the linear system is not positive definite or not finite"
 
 
 def _why_stopped(settings: Settings, linear: _Linear, small: bool, moved: bool) -> str:

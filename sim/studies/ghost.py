@@ -92,7 +92,7 @@ def hinge() -> dict[str, Any]:
     }
 
 
-def _row(rule: dict[str, str], seconds: float) -> tuple:
+def _row(rule: dict[str, Any], seconds: float) -> tuple:
     world = sim.Simulation(hinge(), **rule)
     forces = world.forces()
     arms = world.positions - world.positions.mean(axis=0)

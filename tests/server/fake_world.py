@@ -15,6 +15,7 @@ import zstandard
 from websockets.asyncio.client import connect
 
 from sim.mesh import build_mesh
+from sim.report import StepError
 
 SCENE = {
     "name": "fake",
@@ -22,10 +23,6 @@ SCENE = {
     "obstacle": [{"kind": "sphere", "center": [0.0, 0.0, 0.4], "radius": 0.3}],
     "lesson": {"title": "A <b>fake</b>", "look_for": "nothing", "try": ["nothing"]},
 }
-
-
-class StepError(Exception):
-    """Named as the real one."""
 
 
 class FakeWorld:
@@ -56,7 +53,7 @@ class FakeWorld:
         assert threading.get_ident() == self.thread
         self.gate.wait()
         if self.settings.density > 100:
-            raise StepError("solve: too heavy; the likeliest setting to blame is density")
+            raise StepError("load of vertex 3 is too heavy", "solve", "density")
         self.positions = self.positions - [0.0, 0.0, self.settings.dt]
         self.time += self.settings.dt
         self.steps += 1
@@ -94,14 +91,14 @@ def wait_until(condition, seconds=20.0):
 class RawClient:
     """A websocket that speaks viser's protocol and says whatever a test wants it to."""
 
-    def __init__(self, url: str, origin: str | None = None):
+    def __init__(self, url: str, origin: str | None = None, **headers: str):
         self.controls: dict[str, dict] = {}
         self.values: dict[str, object] = {}
         self.messages: list[dict] = []
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
-        headers = {"Origin": origin} if origin else {}
+        headers |= {"Origin": origin} if origin else {}
         self._socket = self._do(self._connect(url.replace("http", "ws"), headers))
         self._reader = asyncio.run_coroutine_threadsafe(self._read(), self._loop)
 

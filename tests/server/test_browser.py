@@ -1,10 +1,13 @@
 """The page in a real browser, on real simulations."""
 
+from urllib.parse import urlsplit
+
 import numpy as np
 import pytest
-from fake_world import FakeWorld, nothing_to_compile, wait_until
+from fake_world import SCENE, FakeWorld, nothing_to_compile, wait_until
 
 from server.lab import Lab
+from server.rescue import SAFE, UNDO
 from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
 
 PATIENCE = 120_000
@@ -57,13 +60,13 @@ def page(lab):
         browser.close()
 
 
-def visit(page, lab):
+def visit(page, lab, url=""):
     """Open the lab's page, and note every error that it reports."""
     page.set_default_timeout(PATIENCE)
     page.errors = []
     page.on("console", lambda message: page.errors.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: page.errors.append(str(error)))
-    page.goto(lab.url)
+    page.goto(url or lab.url)
 
 
 def row(page, label):
@@ -244,6 +247,71 @@ def test_chain_is_seen_without_a_triangle_and_without_an_error(page):
     chain_page.get_by_text("momentum, SI").wait_for()
     assert chain_page.errors == []
     chain_page.close()
+    lab.stop()
+
+
+def test_a_stopped_variant_is_led_on_by_undo_by_safe_settings_and_by_the_key(page):
+    """The way out of a refused step as a hand takes it: the buttons come, act, and go."""
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
+    lab.start()
+    own_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
+    visit(own_page, lab)
+    wait_until(lambda: len(lab.frames) == 2 and lab.frames[0].time > 0, seconds=60)
+    undo, safe = (own_page.get_by_role("button", name=name) for name in (UNDO, SAFE))
+    box = row(own_page, "density").locator("input.mantine-TextInput-input")
+
+    def stop():
+        box.fill("500")
+        undo.wait_for()
+        own_page.get_by_text("load of vertex 3 is too heavy").first.wait_for()
+        assert all(frame.refused for frame in lab.frames)
+        return [frame.time for frame in lab.frames]
+
+    def led_on(reached, density):
+        undo.wait_for(state="hidden")
+        safe.wait_for(state="hidden")
+        wait_until(lambda: all(f.time > t for f, t in zip(lab.frames, reached, strict=True)), seconds=60)
+        assert settings(lab, "density") == [density, density]
+        wait_until(lambda: float(box.input_value()) == density, seconds=60)
+
+    assert undo.count() == safe.count() == 0
+    for press, density in ((undo.click, 0.2), (safe.click, 2.0), (lambda: own_page.keyboard.press("z"), 2.0)):
+        reached = stop()
+        box.blur()
+        press()
+        led_on(reached, density)
+    assert own_page.errors == []
+    own_page.close()
+    lab.stop()
+
+
+def test_a_browser_is_let_in_by_its_address_which_shows_no_token_then_and_a_guest_watches(page):
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, host="0.0.0.0", port=0, build=FakeWorld, prepare=nothing_to_compile, view_only=True)
+    lab.start()
+    pages = []
+    for url in (lab.url, lab.guest_url):
+        context = page.context.browser.new_context(viewport={"width": 900, "height": 560})
+        pages.append(context.new_page())
+        visit(pages[-1], lab, url.replace(urlsplit(url).hostname, "127.0.0.1"))
+        row(pages[-1], "damping ratio γ").get_by_role("slider").wait_for()
+        assert "token" not in pages[-1].url
+    teacher, guest = pages
+    guest.get_by_text("You are watching.").wait_for()
+    assert teacher.get_by_text("You are watching.").count() == 0
+    drag_by_keys(guest, "damping ratio γ", "ArrowRight", 3)
+    drag_by_keys(teacher, "rest angle", "ArrowRight", 2)
+    wait_until(lambda: lab.comparison.shared.rest_angle == pytest.approx(0.02), seconds=60)
+    assert lab.comparison.shared.gamma == 0.2
+    slider = row(guest, "damping ratio γ").get_by_role("slider")
+    wait_until(lambda: float(slider.get_attribute("aria-valuenow")) == 0.2, seconds=60)
+    refused = page.context.browser.new_context().new_page()
+    assert refused.goto(teacher.url).status == 403
+    assert "ask whoever started Muslin" in refused.inner_text("body")
+    assert teacher.errors == guest.errors == []
+    for one in (*pages, refused):
+        one.context.close()
     lab.stop()
 
 

@@ -176,6 +176,19 @@ def test_box_beside_a_log_slider_refuses_what_is_out_of_bounds(lab, client):
     wait_until(lambda: lab.comparison.shared.stretch == 2e5)
 
 
+def test_somebody_without_a_camera_changes_neither_the_simulation_nor_what_the_pages_show(lab, client):
+    """Viser would show the value everywhere and tell nobody of it."""
+    early, uuid = RawClient(lab.url), client.find("damping ratio γ")
+    early.find("damping ratio γ")
+    early.set(uuid, 1.5)
+    wait_until(lambda: early.values.get(uuid) == 0.2)
+    assert lab.comparison.shared.gamma == 0.2
+    early.look()
+    early.set(uuid, 1.5)
+    wait_until(lambda: lab.comparison.shared.gamma == 1.5)
+    early.close()
+
+
 def test_unknown_choice_is_refused_and_shown_as_it_was(lab, client):
     uuid = client.find("bending spring")
     client.set(uuid, "rubber")
@@ -190,6 +203,24 @@ def test_other_properties_of_a_control_cannot_be_set(lab, client):
     settle(client)
     client.set(uuid, 0.5)
     wait_until(lambda: lab.comparison.shared.gamma == 0.5)
+
+
+def test_a_client_can_upload_nothing(lab, client):
+    """Each upload would be kept in memory, whatever its size, and for ever if it is never finished."""
+    wait_until(lab._page.server.get_clients)
+    (handle,) = lab._page.server.get_clients().values()
+    assert _messages.FileTransferStartUpload not in handle._websock_connection._incoming_handlers
+    client.send(
+        type="FileTransferStartUpload",
+        source_component_uuid=client.find("friction"),
+        transfer_uuid="x",
+        filename="x",
+        mime_type="x",
+        part_count=10**9,
+        size_bytes=10**15,
+    )
+    settle(client)
+    assert not handle.gui._current_file_upload_states
 
 
 def test_greyed_control_cannot_be_set(lab, client):

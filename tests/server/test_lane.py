@@ -115,7 +115,7 @@ def test_simulation_that_cannot_be_built_says_why_and_can_be_tried_again(start):
     def build(scene, settings):
         attempts.append(settings)
         if len(attempts) == 1:
-            raise StepError("no such thing")
+            raise StepError("no such thing", "solve", "dt")
         return FakeWorld(scene, settings)
 
     lane = start(build)
