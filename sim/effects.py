@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from sim.report import StepReport
     from sim.springs.build import Springs
 
+State = Literal["auto", "on", "off"]
+"""How a scene has an effect."""
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -71,7 +74,7 @@ SPRINGS = {"stretch": "stretch", "altitude": "altitudes", "bending": "bending"}
 """The effect of springs, by the setting that scales them."""
 
 
-def state(name: str, settings: Settings) -> Literal["auto", "on", "off"]:
+def state(name: str, settings: Settings) -> State:
     """Whether `settings` have an effect "off", "on" or "auto"."""
     effect = EFFECTS[name]
     if _hold(effect.off, settings):

@@ -22,7 +22,7 @@ import tomli_w
 
 from sim.bench.hardware import hardware, versions
 from sim.contact.intersections import intersections
-from sim.effects import EFFECTS, state, switch
+from sim.effects import EFFECTS, State, state, switch
 from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
@@ -128,7 +128,7 @@ class _Audit:
         self.seen = {name: _Seen() for name in EFFECTS}
         self.world = Simulation(scene, **{name: getattr(settings, name) for name in FIELDS})
         self.masses, self.length = self.world.masses.copy(), size(self.world)
-        self.now = {name: state(name, settings) for name in EFFECTS}
+        self.now: dict[str, State] = {name: state(name, settings) for name in EFFECTS}
         self.changes = {
             name: switch(name, "auto" if now == "off" else "off", settings) for name, now in self.now.items()
         }
