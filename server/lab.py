@@ -332,7 +332,7 @@ class Lab:
         self._compiler.start(self._scene, self._comparison)
 
     def _show_progress(self, done: int, total: int, name: str) -> None:
-        self._wait_for(f"compiling {min(done + 1, total)} of {total} kernels, {name}", done / max(total, 1))
+        self._wait_for(f"compiling {min(done + 1, total)} of {total}, kernel {name}", done / max(total, 1))
 
     def _launch(self) -> None:
         self._wait_for("")

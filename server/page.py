@@ -125,7 +125,7 @@ class Page:
     def _show_numbers(self, bench: Bench, comparison: Comparison, now: float) -> None:
         meters = [meter.read() for meter in bench.meters]
         for i, meter in enumerate(meters):
-            waiting = self._waiting or bench.waiting(i)
+            waiting = self._waiting.partition(",")[0] or bench.waiting(i)  # the dock has room for all of it
             remark = comparison.remark(i)
             self.stage.label(i, *label(comparison.name(i), meter, waiting, bench.behind(i), remark))
         self.charts.show_momentum(self._keeps_momentum(comparison))

@@ -2,22 +2,32 @@
 
 Kernels compile when they are first called, or are read from the cache on disk. A step of a handful of
 vertices calls them all, in the time that the first step of the scene would have taken longer, and can be
-watched.
+watched. Where there is something to compile, a second process compiles what solves are made of, while this
+one compiles what finds and answers contacts; then it reads the other's from the cache.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
 
+import msgspec
+import numpy as np
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 from sim.compiled import KERNELS
-from sim.contact.gap import NO_GAP_SPRINGS
+from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
+from sim.report import StepReport
 from sim.scene import Scene, ShellArrays, ShellFile
+from sim.settings import Settings
 from sim.simulation import Simulation
-from sim.solve.implicit import FILTERED
+from sim.solve.implicit import FILTERED, Solution
 from sim.springs.build import kernel_of, kinds_in_force
 
 Progress = Callable[[int, int, str], None]
@@ -76,8 +86,13 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
             return felt
         return name != "project" and (felt or touches or not module.startswith("sim.contact"))
 
-    with event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress)):
+    alone = {**small, "obstacle": [], "settings": {**settings, "contact": "none"}}
+    with (
+        _second_process(alone) as wake,
+        event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress, wake)),
+    ):
         world = Simulation(small)
+        _touch(world)
         world.keep_ledger()  # which has no kernels of its own, but calls some that a linearised step does not
         world.step()
         if exact:
@@ -86,15 +101,59 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         progress(1, 1, "ready")
 
 
-class _Watch(event.Listener):
-    """Reports each of `kernels` as its compilation starts."""
+def _touch(world: Simulation) -> None:
+    """Call what finds contacts and answers them, on the way that a step would take without springs."""
 
-    def __init__(self, kernels: list[Dispatcher], progress: Progress | None) -> None:
-        self.kernels = kernels
-        self.progress = progress
+    def fall(_: GapSprings, s: Settings, x: np.ndarray, v: np.ndarray) -> Solution:
+        v = v + s.dt * np.asarray(s.gravity)
+        return Solution(x + s.dt * v, v, 0, 1, 0.0, True, "", "")
+
+    s = world.settings
+    if s.contact != "none":
+        world.contact.through(s, 0.0, world.positions.copy(), world.velocities.copy(), fall, StepReport())
+        world.contact.forget()
+
+
+@contextlib.contextmanager
+def _second_process(scene: dict[str, Any]) -> Iterator[Callable[[], None]]:
+    """Gives what starts, once, a process that makes a step of `scene`, which fills the cache; ended at last.
+
+    What both compile at the same time is compiled twice and kept once, by whoever is later.
+    """
+    processes: list[subprocess.Popen] = []
+
+    def start() -> None:
+        if not processes and (os.cpu_count() or 1) > 1:
+            made = "import sys, msgspec, sim; sim.Simulation(msgspec.json.decode(sys.stdin.read())).step()"
+            process = subprocess.Popen(
+                [sys.executable, "-c", made],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            processes.append(process)
+            with contextlib.suppress(OSError), process.stdin as to:  # pyright: ignore[reportOptionalMemberAccess]
+                to.write(msgspec.json.encode(scene))
+
+    try:
+        yield start
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+class _Watch(event.Listener):
+    """Reports each of `kernels` as its compilation starts, and calls `wake` then."""
+
+    def __init__(
+        self, kernels: list[Dispatcher], progress: Progress | None, wake: Callable[[], None]
+    ) -> None:
+        self.kernels, self.progress, self.wake = kernels, progress, wake
 
     def on_start(self, event: event.Event) -> None:
         dispatcher = (event.data or {})["dispatcher"]
+        self.wake()
         if self.progress is not None and dispatcher in self.kernels:
             ready = sum(bool(k.overloads) for k in self.kernels)
             module, name = dispatcher.py_func.__module__, dispatcher.py_func.__name__
