@@ -132,7 +132,8 @@ def _second_process(scene: dict[str, Any]) -> Iterator[Callable[[], None]]:
                 stderr=subprocess.DEVNULL,
             )
             processes.append(process)
-            with contextlib.suppress(OSError), process.stdin as to:  # pyright: ignore[reportOptionalMemberAccess]
+            assert process.stdin is not None
+            with contextlib.suppress(OSError), process.stdin as to:
                 to.write(msgspec.json.encode(scene))
 
     try:
