@@ -312,6 +312,8 @@ class Pipeline:
         end: np.ndarray,
         touched: Touch,
     ) -> GapSprings:
+        if response is not None and way.report.pinched:  # there, forces grow from step to step without end
+            response = replace(response, carries=False)
         state = self._model.inverse_masses, end, way.v, *touched.ahead(contacts.key, way.settings.dt)
         springs = gap_springs(response, contacts, near, *state, way.settings)
         if response is not None and not response.solved:
