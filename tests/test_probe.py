@@ -136,5 +136,5 @@ def test_what_comes_between_steps_ends_a_measurement():
 def test_a_step_that_cannot_be_done_is_said():
     world = falling()
     world.place(world.positions, np.full((2, 3), 1e7))
-    with pytest.raises(sim.StepError, match="beyond all bounds"):
+    with pytest.raises(sim.StepError, match="beyond"):
         probe_of(world).measure(world.snapshot())

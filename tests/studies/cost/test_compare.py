@@ -91,5 +91,5 @@ def test_a_variant_that_fails_says_why_and_leaves_the_others_their_numbers(swing
     )
     fine, failed = found.variants
     assert (fine.stopped, fine.ms is None) == ("", False)
-    assert "beyond all bounds" in failed.stopped
+    assert "velocity of vertex" in failed.stopped
     assert failed.error is None

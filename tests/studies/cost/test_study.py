@@ -161,7 +161,7 @@ def test_a_step_that_fails_ends_a_run_with_its_reason_and_keeps_what_was_seen(sw
         sim.load_scene(swing), {"integrator": "symplectic_euler", "stretch": 1e7, "dt": 1 / 30}, 1 / 30, 30
     )
     trace = run(case)
-    assert "beyond all bounds" in trace.stopped
+    assert "velocity of vertex" in trace.stopped
     assert 1 <= len(trace) < 31
 
 
