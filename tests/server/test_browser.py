@@ -164,7 +164,8 @@ def test_plots_hold_live_data(page):
     points = (
         "() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(plot => plot.chart.data[0].length)"
     )
-    wait_until(lambda: len(page.evaluate(points)) == 2 and min(page.evaluate(points)) > 2, seconds=120)
+    # Kernels may have to be compiled first, beside a browser that draws without a graphics card.
+    wait_until(lambda: len(page.evaluate(points)) == 2 and min(page.evaluate(points)) > 2, seconds=400)
     page.get_by_role("tab", name="Energy").click()
     page.get_by_text("residual").wait_for()
     wait_until(lambda: len(page.evaluate(points)) == 3 and min(page.evaluate(points)) > 2, seconds=120)

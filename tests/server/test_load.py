@@ -8,6 +8,7 @@ import logging
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -125,8 +126,10 @@ def test_a_page_that_reads_nothing_is_sent_no_more_than_its_backlog_holds(lab, c
     wait_until(lambda: len(lab._page.server.get_clients()) == 2)
     wire = lab._page.server._websock_server
     connection = wire._live_connections[max(wire._live_connections)]
+    for end, buffer in ((connection, socket.SO_SNDBUF), (deaf._socket, socket.SO_RCVBUF)):  # soon full
+        end.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, buffer, 4096)
     deaf._loop.call_soon_threadsafe(deaf._socket.transport.pause_reading)
-    wait_until(lambda: connection.transport.get_write_buffer_size() > 0, 60)
+    wait_until(lambda: connection.transport.get_write_buffer_size() > 0, 120)
     reached = lab.frames[0].time
     wait_until(lambda: lab.frames[0].time > reached + 1.0)
     assert connection.transport.get_write_buffer_size() < 2**20
