@@ -240,6 +240,7 @@ class Simulation:
         self._injected -= self.energy()["kinetic"]
         self._velocities = np.zeros_like(self._velocities)
         self._previous = None
+        self.contact.touched = self.contact.touched.still()
 
     def snapshot(self) -> Snapshot:
         """The present state, for `restore`."""

@@ -140,6 +140,10 @@ class Touch(NamedTuple):
         pressed, slip = self.of(keys)
         return pressed / max(h, float(self.lasted)), slip
 
+    def still(self) -> Touch:
+        """The same, with no slip."""
+        return self._replace(slip=np.zeros_like(self.slip))
+
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(c,) pressed and (c,) slip of the contacts with these `keys`, zero for what is new."""
         if not len(self.key):

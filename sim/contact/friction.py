@@ -59,7 +59,10 @@ def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes,
         ahead = slip
         for a in range(4):
             ahead = add(ahead, scale(contacts.weight[c, a], row(gain, pieces[contacts.node[c, a]])))
-        drag[c] = friction * pushes[c] / h / max(norm(slip), norm(ahead), CREEP)
+        fast = (
+            norm(slip) if dot(slip, ahead) < 0.0 else max(norm(slip), norm(ahead))
+        )  # else it would turn about
+        drag[c] = friction * pushes[c] / h / max(fast, CREEP)
     return worst, lacking / allowed
 
 
