@@ -212,9 +212,16 @@ def test_cloth_beside_an_obstacle_that_nothing_moves_is_at_rest_at_once():
     assert world.time == 0.0
 
 
+@pytest.mark.xfail(strict=True, reason="its hem, which touches by triangles alone, trembles at 7 mm/s")
+def test_a_coarse_sheet_comes_to_rest_on_a_ball_with_impulses():
+    sheet = grid(size=(0.5, 0.5), resolution=(6, 6), position=[0, 0, 0.22])
+    sim.equilibrium(scene(sheet, ball(radius=0.2), gravity=EARTH, friction=1.0))
+
+
 def test_obstacles_stay_at_their_first_key_until_the_cloth_rests():
     path = [{"time": 0.0}, {"time": 0.5, "position": [3.0, 0.0, 0.0]}]
     sheet = grid(size=(0.5, 0.5), resolution=(6, 6), position=[0, 0, 0.22])
-    world = sim.equilibrium(scene(sheet, ball(radius=0.2, path=path), gravity=EARTH, friction=1.0))
+    draped = scene(sheet, ball(radius=0.2, path=path), gravity=EARTH, friction=1.0, contact="penalty")
+    world = sim.equilibrium(draped)
     assert np.abs(world.positions[:, :2].mean(axis=0)).max() < 0.1  # it lies where the ball began
     assert world.obstacle_poses()[0][0] == pytest.approx([0.0, 0.0, 0.0])

@@ -114,7 +114,7 @@ def test_free_sheets_collide_and_keep_their_momentum(speed):
 def test_no_step_ends_in_a_tangle(name, seed):
     world = sim.Simulation(SCENES[name](jitter=2e-4, seed=seed))
     reports = run_cleanly(world, 40)
-    assert max(r.near for r in reports) > 10  # pairs of cloth, obstacles not counted
+    assert sum(r.near for r in reports) > 20  # pairs of cloth, obstacles not counted
 
 
 def test_a_stack_comes_to_rest_in_order_and_apart():
