@@ -59,9 +59,9 @@ def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes,
         ahead = slip
         for a in range(4):
             ahead = add(ahead, scale(contacts.weight[c, a], row(gain, pieces[contacts.node[c, a]])))
-        fast = (
-            norm(slip) if dot(slip, ahead) < 0.0 else max(norm(slip), norm(ahead))
-        )  # else it would turn about
+        fast = norm(slip)
+        if dot(slip, ahead) >= 0.0:  # else it would turn about, which friction does not make it do
+            fast = max(fast, norm(ahead))
         drag[c] = friction * pushes[c] / h / max(fast, CREEP)
     return worst, lacking / allowed
 

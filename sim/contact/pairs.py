@@ -110,8 +110,7 @@ class Pairs:
         self.thickness = min(thickness, THICK * self.edge)
         self._reach = FELT * self.thickness
         known = self._list
-        other = known is None or self.exhaustive or known.reach != self._reach
-        if known is None or other or not known.hold_at(self._start):
+        if known is None or self.exhaustive or known.reach != self._reach or not known.hold_at(self._start):
             known = self._renew(self._start)
         self._bound(known)
         if self._apart > self._reach and not self.exhaustive:

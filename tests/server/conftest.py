@@ -1,9 +1,23 @@
-"""A lab with simulations that need no kernels."""
+"""A lab with simulations that need no kernels, and a clock."""
 
 import pytest
 from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
 
 from server.lab import Lab
+
+
+class Wall:
+    """A wall clock that only tests move."""
+
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def wall():
+    return Wall()
 
 
 @pytest.fixture

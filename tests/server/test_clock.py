@@ -5,20 +5,6 @@ import pytest
 from server.clock import FRAME, Clock
 
 
-class Wall:
-    """A wall clock that only tests move."""
-
-    now = 100.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def wall():
-    return Wall()
-
-
 def run(clock, wall, frames, step, cost):
     """Frames that cost a wall time each; the simulated time they held."""
     begin = clock.time

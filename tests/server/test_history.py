@@ -10,18 +10,6 @@ from sim.scene import load_scene
 START = Comparison.of_scene(load_scene(SCENE))
 
 
-class Wall:
-    now = 100.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def wall():
-    return Wall()
-
-
 @pytest.fixture
 def history(wall):
     return History(wall)
