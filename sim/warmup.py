@@ -87,8 +87,9 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         return name != "project" and (felt or touches or not module.startswith("sim.contact"))
 
     alone = {**small, "obstacle": [], "settings": {**settings, "contact": "none"}}
+    shared = s.contact != "none"  # else both would compile the same
     with (
-        _second_process(alone) as wake,
+        _second_process(alone, shared) as wake,
         event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress, wake)),
     ):
         world = Simulation(small)
@@ -115,15 +116,16 @@ def _touch(world: Simulation) -> None:
 
 
 @contextlib.contextmanager
-def _second_process(scene: dict[str, Any]) -> Iterator[Callable[[], None]]:
+def _second_process(scene: dict[str, Any], wanted: bool) -> Iterator[Callable[[], None]]:
     """Gives what starts, once, a process that makes a step of `scene`, which fills the cache; ended at last.
 
-    What both compile at the same time is compiled twice and kept once, by whoever is later.
+    It starts none where none is `wanted`, or there is one core. What both compile at the same time is
+    compiled twice and kept once, by whoever is later.
     """
     processes: list[subprocess.Popen] = []
 
     def start() -> None:
-        if not processes and (os.cpu_count() or 1) > 1:
+        if wanted and not processes and (os.cpu_count() or 1) > 1:
             made = "import sys, msgspec, sim; sim.Simulation(msgspec.json.decode(sys.stdin.read())).step()"
             process = subprocess.Popen(
                 [sys.executable, "-c", made],
