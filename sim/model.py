@@ -167,7 +167,8 @@ class Model:
         group, node, pieces = np.arange(len(self.piece_masses)), contacts.node, self.mesh.pieces
         acts = contacts.weight != 0.0
         own = pieces[node[np.arange(len(node)), acts.argmax(axis=1)]]
-        joined = np.unique(np.column_stack([np.repeat(own, 4), pieces[node].ravel()])[acts.ravel()], axis=0)
+        joins = acts & (pieces[node] != own[:, None])
+        joined = np.unique(np.column_stack([own[np.nonzero(joins)[0]], pieces[node][joins]]), axis=0)
         for a, b in joined:
             group[group == group[b]] = group[a]
         masses = np.bincount(group, self.piece_masses, len(group))

@@ -390,6 +390,8 @@ def beyond_bounds(positions: np.ndarray, velocities: np.ndarray) -> str:
         ("position", "m", positions, np.inf),
         ("velocity", "m/s", velocities, FASTEST),
     ):
+        if np.abs(array).max() < limit:
+            continue
         size = np.abs(array).max(axis=1)
         wild = ~(size < limit)  # also where it is no number
         if wild.any():

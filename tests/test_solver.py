@@ -201,7 +201,8 @@ def test_the_preconditioner_is_symmetric_and_positive_with_several_levels_and_pi
     a, b = (rng.standard_normal(world.positions.shape) * model.free[:, None] for _ in range(2))
     pa, aa = preconditioned(model, a)
     pb, bb = preconditioned(model, b)
-    assert np.sum(pa * b) == pytest.approx(np.sum(a * pb), rel=1e-9)
+    # Factors are kept in single precision (6e-8), and what is summed in it is not quite symmetric.
+    assert np.sum(pa * b) == pytest.approx(np.sum(a * pb), rel=2e-6)
     assert min(aa, bb) > 0.0
 
 

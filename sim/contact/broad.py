@@ -114,6 +114,7 @@ class BroadPhase:
         """
         way = end - start
         way -= way.mean(axis=0)  # where all go together they may as well stand still
+        lengths = np.sqrt(np.einsum("ij,ij->i", way, way))
         tree, room = self.tree, reach + 2.0 * skin * (1.0 + ROUNDING)
         fit(self.surface.faces, tree.begin, tree.end, tree.skip, start, way, room, *self._boxes)
         while True:
@@ -122,7 +123,7 @@ class BroadPhase:
                 np.empty((CHUNKS, self._room)),
             )
             counts = np.zeros(CHUNKS, dtype=np.int64)
-            about = self.surface, tree, self._role, start, way, room
+            about = self.surface, tree, self._role, start, way, lengths, room
             _find(*about, *self._boxes, pairs, distance, counts, self.most // LOPSIDED)
             most, total = int(counts.max()), int(counts.sum())
             if most <= self._room:
@@ -186,7 +187,7 @@ def fit(faces, begin, end, skip, start, way, room, boxes, low, high):
 
 
 @parallel_kernel
-def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distance, counts, most):
+def _find(surface, tree, role, start, way, lengths, room, boxes, low, high, pairs, distance, counts, most):
     """Find the pairs of elements that are no neighbours, then those among neighbours.
 
     Leaves are dealt like cards, as those early in the order have more to compare themselves with.
@@ -206,6 +207,7 @@ def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distan
             role,
             start,
             way,
+            lengths,
             room,
             boxes,
             low,
@@ -223,6 +225,7 @@ def _find(surface, tree, role, start, way, room, boxes, low, high, pairs, distan
             role,
             start,
             way,
+            lengths,
             room,
             pairs[chunk],
             distance[chunk],
@@ -246,6 +249,7 @@ def _query_leaves(
     role,
     start,
     way,
+    lengths,
     room,
     boxes,
     low,
@@ -255,7 +259,7 @@ def _query_leaves(
     chunk,
     most,
 ):
-    count = 0
+    about, count = (faces, edges, role, start, way, room, pairs, distance), 0
     for k in range(chunk, len(leaves), CHUNKS):
         if count > most:  # it is refused anyway
             break
@@ -273,55 +277,37 @@ def _query_leaves(
                         for side in range(2):
                             a, b = (f, g) if side == 0 else (g, f)
                             for c in range(3):
-                                if own_vertex[a, c] and solid[b]:
-                                    count = _keep(
-                                        VERTEX_TRIANGLE,
-                                        faces[a, c],
-                                        b,
-                                        faces,
-                                        edges,
-                                        role,
-                                        start,
-                                        way,
-                                        room,
-                                        pairs,
-                                        distance,
-                                        count,
-                                    )
+                                i = faces[a, c]
+                                if not (own_vertex[a, c] and solid[b]):
+                                    continue
+                                if not _vertex_apart(faces, start, lengths, room, i, b):
+                                    count = _keep(VERTEX_TRIANGLE, i, b, *about, count)
                         for c in range(3):
                             for d in range(3):
                                 one, other = own_edge[f, c], own_edge[g, d]
-                                if one >= 0 and other >= 0:
-                                    count = _keep(
-                                        EDGE_EDGE,
-                                        one,
-                                        other,
-                                        faces,
-                                        edges,
-                                        role,
-                                        start,
-                                        way,
-                                        room,
-                                        pairs,
-                                        distance,
-                                        count,
-                                    )
+                                if one < 0 or other < 0:
+                                    continue
+                                if not _edges_apart(edges, start, lengths, room, one, other):
+                                    count = _keep(EDGE_EDGE, one, other, *about, count)
             node += 1
     return count
 
 
 @inner
 def _near_pairs(
-    faces, edges, near_vertices, near_edges, role, start, way, room, pairs, distance, chunk, count
+    faces, edges, near_vertices, near_edges, role, start, way, lengths, room, pairs, distance, chunk, count
 ):
+    about = faces, edges, role, start, way, room, pairs, distance
     part = share(chunk, len(near_vertices))
     for k in range(part[0], part[1]):
         i, f = near_vertices[k, 0], near_vertices[k, 1]
-        count = _keep(VERTEX_TRIANGLE, i, f, faces, edges, role, start, way, room, pairs, distance, count)
+        if not _vertex_apart(faces, start, lengths, room, i, f):
+            count = _keep(VERTEX_TRIANGLE, i, f, *about, count)
     part = share(chunk, len(near_edges))
     for k in range(part[0], part[1]):
         one, other = near_edges[k, 0], near_edges[k, 1]
-        count = _keep(EDGE_EDGE, one, other, faces, edges, role, start, way, room, pairs, distance, count)
+        if not _edges_apart(edges, start, lengths, room, one, other):
+            count = _keep(EDGE_EDGE, one, other, *about, count)
     return count
 
 
@@ -359,6 +345,29 @@ def _faces_overlap(boxes, f, g):
 
 
 @inner
+def _vertex_apart(faces, start, lengths, room, i, f):
+    """Whether a direction and the lengths of ways tell a vertex and a triangle apart, as they do most pairs.
+
+    Here and below a small function with few arrays: a call of `_keep` costs more than all that this does.
+    """
+    j, k, m = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
+    n = sub(scale(3.0, a), add(b, add(c, d)))
+    reach = room + lengths[i] + max(lengths[j], lengths[k], lengths[m])
+    return min(dot(n, sub(a, b)), dot(n, sub(a, c)), dot(n, sub(a, d))) > reach * norm(n)
+
+
+@inner
+def _edges_apart(edges, start, lengths, room, one, other):
+    """And two edges."""
+    i, j, k, m = edges[one, 0], edges[one, 1], edges[other, 0], edges[other, 1]
+    a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
+    n = sub(add(a, b), add(c, d))
+    reach = room + max(lengths[i], lengths[j]) + max(lengths[k], lengths[m])
+    return min(dot(n, a), dot(n, b)) - max(dot(n, c), dot(n, d)) > reach * norm(n)
+
+
+@inner
 def _keep(kind, one, other, faces, edges, role, start, way, room, pairs, distance, count):
     """Count the pair, and write it down where there is place, if it may come within `room`."""
     if kind == VERTEX_TRIANGLE:
@@ -371,14 +380,6 @@ def _keep(kind, one, other, faces, edges, role, start, way, room, pairs, distanc
         return count
     a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
     reach = room + passing(kind, row(way, i), row(way, j), row(way, k), row(way, m))
-    if kind == VERTEX_TRIANGLE:
-        n = sub(scale(3.0, a), add(b, add(c, d)))
-        if min(dot(n, sub(a, b)), dot(n, sub(a, c)), dot(n, sub(a, d))) > reach * norm(n):
-            return count
-    else:
-        n = sub(add(a, b), add(c, d))
-        if min(dot(n, a), dot(n, b)) - max(dot(n, c), dot(n, d)) > reach * norm(n):
-            return count
     apart = norm(separation(nearest(kind, a, b, c, d), a, b, c, d))
     if apart > reach:
         return count

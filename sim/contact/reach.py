@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim.compiled import kernel
 from sim.contact.obstacles import PLANE, ROUNDED, Poses, Shapes
 
 MARGIN = 1e-9
@@ -19,9 +20,21 @@ SIDES = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dt
 
 
 def box(points: np.ndarray) -> np.ndarray:
-    """(8, 3) corners of the box around `points` (n, 3) [m]."""
-    low, high = points.min(axis=0), points.max(axis=0)
+    """(8, 3) corners of the box around `points` (n, 3) [m]; not finite where any of them is not."""
+    low, high = _extent(points)
     return low + SIDES * (high - low)
+
+
+@kernel
+def _extent(points):
+    """The least and the largest coordinates; many times as fast as NumPy's along rows of three."""
+    low, high, wild = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    for i in range(len(points)):
+        for r in range(3):
+            value = points[i, r]
+            low[r], high[r] = min(low[r], value), max(high[r], value)
+            wild += 0.0 * value  # not a number as soon as one of them is none, or infinite
+    return low + wild, high + wild
 
 
 def out_of_reach(

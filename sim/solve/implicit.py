@@ -24,6 +24,10 @@ from sim.solve.preconditioner import refresh
 MOST_ITERATIONS = 5000
 """Iterations after which a linear solve gives up; what it has then is still a descent direction."""
 
+ROUGH = 3.0
+"""Times the tolerance that a solve first stops at where friction is to be estimated from it: its first digit
+tells as much, and the rest of the way is gone once, with the friction that acts."""
+
 LARGEST_DIRECT = 20_000
 """Vertices above which "auto" never factors: memory and time grow too fast."""
 
@@ -131,18 +135,20 @@ def backward_euler(
         exact = newton > filtered
         lag = v_hat if newton == 1 else velocities  # the first iterate stands still, which air would not feel
         forces = model.linearise(at, velocities, contacts, h, exact, lag)
-        linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
+        rough = ROUGH * settings.tolerance if contacts.rubs else settings.tolerance
+        linear = _solve(model, loose, settings, forces, change, guess, shortcut, h, rough)
         if exact and linear.broken:
             exact, forces = False, model.linearise(at, velocities, contacts, h)
-            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
+            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h, rough)
         iterations += linear.iterations
         end = velocities + linear.step
-        if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
-            known = linear.step, np.zeros_like(guess)
-            linear = _solve(model, loose, settings, forces, change, *known, h)
+        rubbed = contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces)
+        if rubbed or (linear.converged and linear.error > settings.tolerance):
+            go_on = linear.step, np.zeros_like(guess), h, settings.tolerance
+            linear = _solve(model, loose, settings, forces, change, *go_on, anew=False)
             if exact and linear.broken:  # what the first solve did not come across, this one may
                 forces = model.linearise(at, velocities, contacts, h, lag=lag)
-                linear = _solve(model, loose, settings, forces, change, *known, h)
+                linear = _solve(model, loose, settings, forces, change, *go_on)
             iterations += linear.iterations
         if linear.broken:
             raise SolveError(_what_broke(forces))
@@ -206,19 +212,21 @@ class _Linear:
     solver: str
 
 
-def _solve(model, loose, settings, forces, change, guess, shortcut, h) -> _Linear:
-    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step.
+def _solve(model, loose, settings, forces, change, guess, shortcut, h, tolerance, anew=True) -> _Linear:
+    """Solve A step = M `change` + h `forces`, to `tolerance` [m] in h · step.
 
     On `loose` pieces, which nothing holds from outside, A moves a translation like M alone does: what
-    the residual has of one is taken out exactly, so that the tolerance costs no momentum.
+    the residual has of one is taken out exactly, so that the tolerance costs no momentum. The preconditioner
+    is computed `anew`, or the last one serves: where drag alone has changed, it costs more than it saves.
     """
     rest = model.masses[:, None] * change + h * forces
     if settings.solver == "direct":
         return _solve_directly(model, settings, rest, h, 0)
     auto, n = settings.solver == "auto", len(rest)
     most = _worth_a_factorisation(n) if auto and n <= LARGEST_DIRECT else MOST_ITERATIONS
-    refresh(model.preconditioner, model.matrix)
-    right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
+    if anew:
+        refresh(model.preconditioner, model.matrix)
+    right, step, allowed = rest.copy(), guess.copy(), tolerance / h
     iterations, error, status = conjugate_gradients(
         model.matrix, model.coupling, model.preconditioner, model.work, rest, step, shortcut, allowed, most
     )
@@ -254,6 +262,8 @@ Groups = tuple[np.ndarray, np.ndarray]
 
 def _drift(model: Model, loose: Groups, momentum: np.ndarray) -> np.ndarray:
     """(n, 3) the velocity of loose groups of pieces as a whole, given each vertex's `momentum`; else zero."""
+    if np.isinf(loose[1]).all():
+        return np.zeros_like(momentum)
     groups = loose[0][model.mesh.pieces]
     whole = np.stack([np.bincount(groups, momentum[:, c], len(loose[1])) for c in range(3)], axis=1)
     return (whole / np.where(loose[1] > 0.0, loose[1], 1.0)[:, None])[groups]
