@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.settings import Settings
+from sim.settings import Settings, change
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ class Frame:
         settings: In force when the frame was made.
         refused: Why the last step was refused; empty while all is well.
         blamed: The setting that is likeliest to blame for that; empty where none is.
-        note: Why the last change of settings was refused; empty if it was not.
+        note: Why the last change of settings was refused, or what was done to the start; else empty.
     """
 
     positions: np.ndarray | None = None
@@ -184,8 +184,7 @@ class Lane(threading.Thread):
         return sum(not isinstance(command, Ask | None) for command in commands)
 
     def _start(self, settings: Settings) -> None:
-        self._owed = 0.0
-        self._spent = []
+        self._settings, self._owed, self._spent = settings, 0.0, []
         self._refused = self._blamed = self._note = ""
         self._doing = ("starting", perf_counter())
         self._world = self._report = None
@@ -194,9 +193,14 @@ class Lane(threading.Thread):
             self._world = self._build(settings)
         except Exception as error:
             self._refuse("cannot start", error)
+            return
+        self._note = getattr(self._world, "note", "")
 
     def _change(self, values: Mapping[str, Any]) -> None:
-        if not values or self._world is None:
+        if not values:
+            return
+        if self._world is None:  # what could not start may now
+            self._start(change(self._settings, **values))
             return
         self._doing = ("changing settings", perf_counter())
         try:

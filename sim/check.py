@@ -22,13 +22,13 @@ def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
     """The mesh of a scene and one line for each thing that its author may want to know.
 
     Raises:
-        SceneError: for cloth that cannot be simulated.
+        SceneError: for cloth that cannot be simulated, or starts across itself where that is refused.
     """
     mesh = build_mesh(scene)
     prefix = f"{scene.name}: "
     warnings = [w.removeprefix(prefix) for w in mesh.warnings]
     warnings += _part_warnings(mesh) + _sliver_warnings(mesh) + _thickness_warnings(mesh, scene.settings)
-    return mesh, warnings + crossing_warnings(mesh) + clearance_warnings(mesh, scene)
+    return mesh, warnings + crossing_warnings(mesh, scene) + clearance_warnings(mesh, scene)
 
 
 def _part_warnings(mesh: Mesh) -> list[str]:

@@ -19,8 +19,9 @@ import numpy as np
 
 from sim.mesh import Mesh
 from sim.placement import pose
-from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
+from sim.scene import Box, Capsule, Obstacle, Plane, Scene, SceneError, Sphere
 from sim.shells import Shell
+from sim.tangles import CROSSES, Surfaces, in_words, refusal, refuses, surfaces_of
 
 TOUCH = 1e-6
 """Obstacles that reach into each other by less than this [m] merely stand on one another."""
@@ -30,33 +31,47 @@ MEETS = 1e-9
 
 
 MOST_TRIANGLES = 50_000
-"""Cloth of more is not asked whether it crosses itself: that takes a list of some fifteen pairs for each."""
+"""Of more it is not asked what crosses what: that takes a list of some fifteen pairs for each."""
 
 
-def crossing_warnings(mesh: Mesh) -> list[str]:
-    """A line where triangles of cloth that share no vertex cross each other at the start."""
-    corners = mesh.triangles
-    if len(corners) > MOST_TRIANGLES:
-        return [f"more than {MOST_TRIANGLES:,} triangles: not looked at whether cloth crosses itself"]
-    if not len(corners):
+def crossing_warnings(mesh: Mesh, scene: Scene) -> list[str]:
+    """A line where triangles cross at the start that share no vertex: of cloth, or of it and a mesh obstacle.
+
+    Raises:
+        SceneError: where a simulation would refuse to start.
+    """
+    shells = [
+        _Body(i, *pair) for i, pair in enumerate(zip(scene.obstacle, mesh.shells, strict=True)) if pair[1]
+    ]
+    first = np.cumsum([0] + [len(body.shell.vertices) for body in shells if body.shell])
+    solid = [body.shell.triangles + k for body, k in zip(shells, first, strict=False) if body.shell]
+    surfaces = surfaces_of(mesh, scene.settings, np.concatenate([np.zeros((0, 3), dtype=np.int64), *solid]))
+    if surfaces is None:
         return []
-    shape, request = _triangles(mesh.vertices, corners), fcl.CollisionRequest(num_max_contacts=2**31 - 1)
+    if len(surfaces.triangles) > MOST_TRIANGLES:
+        return [f"more than {MOST_TRIANGLES:,} triangles: not looked at whether cloth crosses itself"]
+    points = np.concatenate([mesh.vertices, *(body.somewhere() for body in shells)])
+    pairs = crossing_pairs(points, surfaces)
+    if not len(pairs):
+        return []
+    if refuses(scene.settings):
+        raise SceneError(f"{scene.source}: {refusal(pairs, len(mesh.triangles))}")
+    undone = "is to be untangled" if scene.settings.tangled == "untangle" else "no contact undoes"
+    return [f"{CROSSES}, which {undone}: {in_words(pairs, len(mesh.triangles))}"]
+
+
+def crossing_pairs(points: np.ndarray, surfaces: Surfaces) -> np.ndarray:
+    """(p, 2) pairs of triangles that may not cross, share no vertex, and do cross at `points` (n, 3) [m]."""
+    corners = surfaces.triangles
+    shape, request = _triangles(points, corners), fcl.CollisionRequest(num_max_contacts=2**31 - 1)
     one, other = (fcl.CollisionObject(shape, fcl.Transform()) for _ in range(2))
     found = fcl.CollisionResult()
     fcl.collide(one, other, request, found)
     pairs = np.array([(c.b1, c.b2) for c in found.contacts if c.b1 < c.b2], dtype=np.int64).reshape(-1, 2)
     joined = (corners[pairs[:, 0], :, None] == corners[pairs[:, 1], None]).any(axis=(1, 2))
-    pairs = np.unique(pairs[~joined], axis=0)
-    if not len(pairs):
-        return []
-    shown = ", ".join(f"{i} and {j}" for i, j in pairs[:LISTED])
-    more = ", …" if len(pairs) > LISTED else ""
-    words = "cloth crosses itself at the start, which no contact undoes"
-    return [f"{words}: {len(pairs):,} pairs of triangles: {shown}{more}"]
-
-
-LISTED = 5
-"""Pairs of triangles that a warning lists."""
+    cloth = corners[pairs][:, :, 0] < surfaces.cloth
+    wrong = cloth.all(axis=1) if surfaces.own else cloth[:, 0] != cloth[:, 1]
+    return np.unique(pairs[~joined & wrong], axis=0)
 
 
 def clearance_warnings(mesh: Mesh, scene: Scene) -> list[str]:

@@ -3,7 +3,7 @@
 A file is data from somebody else's program, or from somebody else: it must lie in the scene's own folder, be
 of a modest size, and name no other file. Vertices keep the order of the file, so that pins can name them.
 The reader of .obj is our own because it can say which line is wrong, keeps vertices whole where texture
-coordinates part them, and spares `muslin check` the two seconds that importing trimesh takes.
+coordinates part them, and spares `muslin check` the second that importing trimesh takes.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from sim.given import FARTHEST
 from sim.meshclaims import MAX_TRIANGLES, count_ply, declared_counts, mesh_bytes, mesh_path
+from sim.meshparse import HARMLESS, parse, parse_apart
 from sim.repair import repair_triangles, used_vertices
 from sim.scene import MAX_VERTICES
 
@@ -114,24 +115,12 @@ def _fan(corners: list[int]) -> list[tuple[int, int, int]]:
 
 
 def _read_with_trimesh(data: bytes, suffix: str) -> Arrays:
-    import trimesh
-
     if suffix == ".ply":
         data = _rows_of_ply(data)
     elif suffix == ".off":  # of a megabyte of comments trimesh makes a hundred
         data = re.sub(rb"^[ \t\r]*(?:#[^\n]*)?\n", b"", data, flags=re.M)
     try:
-        # No resolver and no materials: nothing but these bytes is looked at, on disk or elsewhere.
-        mesh = trimesh.load_mesh(
-            io.BytesIO(data),
-            file_type=suffix[1:],
-            process=False,
-            maintain_order=True,
-            skip_materials=True,
-            fix_texture=False,
-            resolver=None,
-        )
-        vertices, triangles = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
+        vertices, triangles = (parse_apart if len(data) > HARMLESS else parse)(data, suffix[1:])
     except Exception as error:  # whatever a reader makes of broken bytes, it is the file that is wrong
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"cannot be read as {suffix}: {reason}") from None

@@ -47,9 +47,14 @@ Density = Annotated[float, Meta(ge=1e-4, le=1e3)]
 
 
 class SceneError(ValueError):
-    """A scene that cannot be used; the message is one line: file, key, expected, found."""
+    """A scene that cannot be used; the message is one line: file, key, expected, found.
 
-    def __init__(self, message: str) -> None:
+    Attributes:
+        setting: The one that decides about it; empty where none does.
+    """
+
+    def __init__(self, message: str, setting: str = "") -> None:
+        self.setting = setting
         line = " ".join(message.splitlines())  # keys and names may hold line ends
         super().__init__(line if len(line) <= LONGEST_LINE else line[: LONGEST_LINE - 1] + "…")
 

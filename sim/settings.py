@@ -327,6 +327,20 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="from a tenth to half of the step",
         ),
     ] = "auto"
+    tangled: Annotated[
+        Literal["refuse", "untangle", "keep"],
+        choice(
+            "Contact",
+            "What to do where cloth crosses itself or a mesh obstacle at the start. Acts at the next start.",
+            choices=lambda: {
+                "refuse": "with impulses, which would never undo it, the start is refused; the others run",
+                "untangle": "vertices are moved apart before the first step, or it is said that none helped",
+                "keep": "it is run as it is; impulses promise nothing about what crosses",
+            },
+            label="tangled start",
+            cost="a start alone: a look at all triangles, and up to some seconds to untangle",
+        ),
+    ] = "refuse"
     thickness: Annotated[
         float,
         number(

@@ -30,6 +30,7 @@ from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
+from sim.tangles import clear_start, surfaces_of
 from sim.threads import processor_threads
 
 if TYPE_CHECKING:
@@ -62,6 +63,9 @@ class Simulation:
         effects: Those that are forced "on" or "off", by name, whatever scene and overrides have.
         overrides: Settings that differ from the scene's.
 
+    Attributes:
+        note: What was done to the start so that it crosses nothing; empty where nothing was.
+
     Raises:
         SceneError: For a scene that cannot be used.
         ValueError: For an override out of bounds: names field, value and bounds; and for a wrong effect.
@@ -78,7 +82,7 @@ class Simulation:
         self.mesh = build_mesh(self.scene)
         self.model = Model(self.mesh, self.settings)
         self.contact = Pipeline(self.scene, self.model)
-        self._positions = self._start()
+        self._positions, self.note = self._start()
         self._velocities = np.zeros_like(self._positions)
         self._previous: State | None = None
         self._time = 0.0
@@ -89,9 +93,16 @@ class Simulation:
         self._told = Told()
         self.model.forget(self._positions)
 
-    def _start(self) -> np.ndarray:
+    def _start(self) -> tuple[np.ndarray, str]:
+        """Where cloth starts (n, 3) [m], and a line where it had to be untangled."""
         noise = np.random.default_rng(self.settings.seed).standard_normal(self.mesh.vertices.shape)
-        return self.mesh.vertices + self.settings.jitter * self.model.confined(noise)
+        x, obstacles = (
+            self.mesh.vertices + self.settings.jitter * self.model.confined(noise),
+            self.contact.obstacles,
+        )
+        surfaces = surfaces_of(self.mesh, self.settings, obstacles.solid.triangles)
+        solid = obstacles.corners(obstacles.poses(0.0))
+        return clear_start(x, solid, surfaces, self.settings, self.scene.source)
 
     @property
     def settings(self) -> Settings:

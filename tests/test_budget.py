@@ -11,6 +11,8 @@ from sim.ramp import Ramp
 from sim.settings import change
 from tests.worlds import grid, scene
 
+pytestmark = pytest.mark.alone
+
 
 def work(report):
     """Counted, so that a busy machine changes nothing: about a millisecond for a hundred iterations."""

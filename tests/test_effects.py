@@ -261,6 +261,7 @@ def adversary(seed):
         "gravity": (random.uniform(-10, 10, 3) * random.integers(0, 2)).tolist(),
         "dt": float(10 ** random.uniform(-3.5, -1.3)),
         "stretch": float(10 ** random.uniform(0, 3)),
+        "tangled": "keep",
     }
     return scene(cloth, *obstacles, **settings), random
 

@@ -1,11 +1,15 @@
 """Mesh files: what each format gives back, what is mended, and what is refused."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sim import meshfile, meshparse
 from sim.mesh import build_mesh
 from sim.meshclaims import MAX_BYTES, SUFFIXES, declared_counts, vertex_count
 from sim.meshfile import read_mesh
@@ -273,3 +277,61 @@ def test_a_spoilt_binary_ply_gives_a_mesh_or_a_value_error(tmp_path, sheet, at, 
         read_mesh(name, folder)
     except ValueError as error:
         assert len(str(error).splitlines()) == 1  # noqa: PT017
+
+
+# In a process of its own
+
+
+@pytest.mark.parametrize("kind", ["ply", "off", "stl"])
+def test_a_large_file_is_read_apart_into_the_same_arrays(tmp_path, kind, monkeypatch):
+    made = trimesh.creation.icosphere(5)
+    data = made.export(file_type=kind)
+    name, folder = write(tmp_path, f"m.{kind}", data if isinstance(data, bytes) else data.encode())
+    apart, called = meshfile.parse_apart, []
+    monkeypatch.setattr(meshfile, "parse_apart", lambda *about: called.append(about) or apart(*about))
+    one = read_mesh(name, folder)
+    assert len(called) == 1
+    monkeypatch.setattr(meshfile, "HARMLESS", 10**9)
+    other = read_mesh(name, folder)
+    assert len(called) == 1
+    assert len(one[1]) == len(made.faces)
+    assert all(np.array_equal(a, b) for a, b in zip(one[:2], other[:2], strict=True))
+
+
+LARGE = PLY % (10_000, 10_000) + b"0 0 0\n" * 10_000 + b"3 0 1 2\n" * 10_000
+
+
+def test_a_reader_that_hangs_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(meshparse, "SECONDS", 0.05)  # less than Python takes to start
+    assert refusal(tmp_path, "m.ply", LARGE) == "m.ply: cannot be read as .ply: it takes longer than 0.05 s"
+
+
+GREEDY = """
+import sys, numpy as np
+sys.path.insert(0, {folder!r})
+import meshparse
+meshparse.parse = lambda data, kind: (np.ones(10**9), data)
+sys.exit(meshparse.main())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems know no such limit")
+def test_a_reader_that_eats_memory_is_ended_and_says_so(tmp_path, monkeypatch):
+    """Of eight gigabytes, in the place of what trimesh might ask for."""
+    script = tmp_path / "greedy.py"
+    script.write_text(GREEDY.format(folder=str(Path(meshparse.__file__).parent)))
+    monkeypatch.setattr(meshparse, "__file__", str(script))
+    said = refusal(tmp_path, "m.ply", LARGE)
+    assert said == "m.ply: cannot be read as .ply: it takes more memory than 1024 MB"
+
+
+def test_a_reader_that_crashes_takes_nobody_with_it(tmp_path, monkeypatch):
+    script = tmp_path / "crash.py"
+    script.write_text("import os; os.abort()")
+    monkeypatch.setattr(meshparse, "__file__", str(script))
+    assert refusal(tmp_path, "m.ply", LARGE) == "m.ply: cannot be read as .ply: its reader broke off"
+
+
+def test_a_large_broken_file_is_refused_with_the_readers_reason(tmp_path):
+    short = PLY.replace(b"ascii", b"binary_little_endian") % (10_000, 10_000) + bytes(150_000)
+    assert refusal(tmp_path, "m.ply", short) == "m.ply: cannot be read as .ply: PLY is unexpected length!"

@@ -44,7 +44,7 @@ def levels() -> dict[str, list[Any]]:
     found: dict[str, list[Any]] = {"gravity": [tuple(EARTH), (0.0, 0.0, 0.0)]}
     found["wind"] = [(0.0, 0.0, 0.0), (3.0, -5.0, 4.0)]
     for name, field in FIELDS.items():
-        if field.choices is not None:
+        if field.choices is not None and name != "tangled":  # which acts before the first step alone
             found[name] = list(field.choices())
         elif field.slider is not None and name != "threads":
             found[name] = [field.clamp(end) for end in field.slider]
@@ -228,7 +228,7 @@ def calming(integrator: str) -> bool:
 def sweep(probe: Probe, made: Callable[[bool], dict[str, Any]]) -> Iterator[Figure]:
     """Two hundred steps with one row of settings, the start of them twice; sliders move every twenty."""
     row = rows()[probe.seed % len(rows())]
-    scene = {**made(any(row["gravity"])), "settings": {**row, "seed": probe.seed}}
+    scene = {**made(any(row["gravity"])), "settings": {**row, "seed": probe.seed, "tangled": "keep"}}
     twin, first = started(probe, scene), started(probe, scene)  # the last is kept of a failure
     watch, changed, differs, together = Watch(first), 0, 0, True
     world, rest = first.world, first.world.positions.copy()

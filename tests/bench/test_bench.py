@@ -14,6 +14,8 @@ from sim.bench.sheet import KINDS
 from sim.bench.tables import tabulate
 from sim.studies import Result, Table
 
+pytestmark = pytest.mark.alone
+
 STEP = {"kernels": 1.0, "build": 0.1, "memory": 200.0, "layer": "omp", "errors": [1e-5, 3e-5]}
 TRIAL = {"settings": "substeps 1", "ms": 8.0, "error": 0.005}
 

@@ -21,6 +21,8 @@ from sim.bench.sheet import DENSITY, SPRING, Sheet
 from sim.bench.steps import DIRECT, reference, step_error
 from sim.bench.tables import percentile
 
+pytestmark = pytest.mark.alone
+
 
 class Clock:
     """Tells the time that runs have put on it."""

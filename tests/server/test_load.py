@@ -20,6 +20,8 @@ from fake_world import FakeWorld, RawClient, wait_until
 
 from server import guard
 
+pytestmark = pytest.mark.alone
+
 SOAK = float(os.environ.get("MUSLIN_SOAK", "20"))
 THIRTY = {
     "calm": 14,

@@ -11,6 +11,8 @@ from sim.effects import EFFECTS
 from sim.studies.audit import audit
 from tests.worlds import ball, grid, scene
 
+pytestmark = pytest.mark.alone
+
 EARTH = [0.0, 0.0, -9.81]
 
 

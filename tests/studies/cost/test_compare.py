@@ -8,6 +8,8 @@ from sim.studies.cost.compare import common_multiple, compare, makes_another_clo
 from sim.studies.cost.measures import distances, size
 from sim.studies.cost.reference import MARGIN
 
+pytestmark = pytest.mark.alone
+
 
 def test_energies_penetrations_and_stretch_are_those_of_direct_runs(compared, landing):
     for variant in compared.variants:

@@ -18,6 +18,8 @@ from sim.integrators import INTEGRATORS
 from sim.studies.cost.report import REPORTS, schema
 from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
 
+pytestmark = pytest.mark.alone
+
 PAPER = {"command": "muslin cost <swing>", "date": "2026-01-01"}
 
 

@@ -22,6 +22,8 @@ from sim.studies.cost.trace import Case, run
 from sim.studies.cost.workers import workers
 from tests.worlds import grid, scene
 
+pytestmark = pytest.mark.alone
+
 SOLVED_ORDER = 0.15
 """An observed order may miss the theoretical one by this: steps of 17 ms are not yet short."""
 
