@@ -18,7 +18,7 @@ from sim.contact.broad import CandidateError
 from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
-from sim.effects import EFFECTS, Told, chosen, state
+from sim.effects import Told, check_obstacles, chosen, effects_with, state
 from sim.integrators import INTEGRATORS, State
 from sim.ledger import Books, Ledger, Tally
 from sim.mesh import build_mesh
@@ -74,7 +74,8 @@ class Simulation:
         **overrides: Any,
     ) -> None:
         self.scene = load_scene(scene)
-        self._ramp = Ramp.done(chosen(change(self.scene.settings, **overrides), effects or {}))
+        settings, known = change(self.scene.settings, **overrides), effects_with(self.scene.obstacle_labels)
+        self._ramp = Ramp.done(self._checked(chosen(settings, effects or {}, known)))
         self.mesh = build_mesh(self.scene)
         self.model = Model(self.mesh, self.settings)
         self.contact = Pipeline(self.scene, self.model)
@@ -101,7 +102,7 @@ class Simulation:
     @property
     def effects(self) -> dict[str, str]:
         """Whether each effect is "on", "off" or "auto"."""
-        return {name: state(name, self.settings) for name in EFFECTS}
+        return {name: state(name, self.settings) for name in effects_with(self.scene.obstacle_labels)}
 
     @property
     def time(self) -> float:
@@ -192,7 +193,7 @@ class Simulation:
         Raises:
             ValueError: names field, value and bounds.
         """
-        settings = change(self.settings, **changes)
+        settings = self._checked(change(self.settings, **changes))
         self._go_over(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings))
         self._previous = self._limit = None
 
@@ -202,8 +203,13 @@ class Simulation:
         Raises:
             ValueError: names field, value and bounds.
         """
-        self._go_over(Ramp.done(change(self.settings, **changes)))
+        self._go_over(Ramp.done(self._checked(change(self.settings, **changes))))
         self._previous = self._limit = None
+
+    def _checked(self, settings: Settings) -> Settings:
+        """These settings, which switch no obstacles but those of the scene; else ValueError."""
+        check_obstacles(settings, self.scene.obstacle_labels)
+        return settings
 
     def _go_over(self, ramp: Ramp) -> None:
         """Put the settings of `ramp` in force, and book the energy that this puts in."""
@@ -293,7 +299,7 @@ class Simulation:
         self._accept(solution, touch, report)
         with report.phase("report"):
             if self.scene.obstacle and self.settings.obstacles != "off":
-                depths = self.contact.depths(self._time, self._positions)
+                depths = self.contact.depths(self._time, self._positions, self.settings)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             report.effects = self._effects(report)
         return report
@@ -352,14 +358,16 @@ class Simulation:
         """
         ways = np.linalg.norm(end - self._positions, axis=1)
         obstacles = self.contact.obstacles
-        if not obstacles.parts:
+        felt = obstacles.felt(self.settings)
+        if not felt.which.any():
             return float(ways.max())
         before, after = (obstacles.poses(t) for t in (self._time, self._time + self.settings.dt))
         turn = np.linalg.norm(after.rotation - before.rotation, 2, axis=(1, 2))
         reach = np.linalg.norm(obstacles.shapes.half, axis=1)
         rigid = np.linalg.norm(after.position - before.position, axis=1) + turn * reach
-        corners = np.linalg.norm(obstacles.corners(after) - obstacles.corners(before), axis=1)
-        return float(np.concatenate([ways, rigid, corners]).max())
+        corners = (obstacles.corners(poses, felt.solid) for poses in (before, after))
+        meshes = np.linalg.norm(np.subtract(*corners), axis=1)
+        return float(np.concatenate([ways, rigid[felt.which], meshes]).max())
 
     def _accept(self, solution: Solution, touch: Touch, report: StepReport) -> None:
         """Make the end of a step the present state."""
@@ -380,7 +388,7 @@ class Simulation:
             self._limit = None
         elif self._limit is None:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
-        about = self.settings, self.model, report, bool(self.scene.obstacle), self._limit
+        about = self.settings, self.model, report, self.scene.obstacle_labels, self._limit
         return self._told.tell(*about)
 
 

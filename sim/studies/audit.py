@@ -22,7 +22,7 @@ import tomli_w
 
 from sim.bench.hardware import hardware, versions
 from sim.contact.intersections import intersections
-from sim.effects import EFFECTS, State, state, switch
+from sim.effects import State, chosen, effects_with, state, switch
 from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
@@ -125,10 +125,11 @@ class _Audit:
         )
         self.base: list[_Way] = []
         self.error: list[float] = []
-        self.seen = {name: _Seen() for name in EFFECTS}
+        self.effects = effects_with(scene.obstacle_labels)
+        self.seen = {name: _Seen() for name in self.effects}
         self.world = Simulation(scene, **{name: getattr(settings, name) for name in FIELDS})
         self.masses, self.length = self.world.masses.copy(), size(self.world)
-        self.now: dict[str, State] = {name: state(name, settings) for name in EFFECTS}
+        self.now: dict[str, State] = {name: state(name, settings) for name in self.effects}
         self.changes = {
             name: switch(name, "auto" if now == "off" else "off", settings) for name, now in self.now.items()
         }
@@ -150,7 +151,7 @@ class _Audit:
             numerical_error=max(self.error),
             windows=len(self.error),
             ms=whole,
-            effects=[self._effect(name) for name in EFFECTS],
+            effects=[self._effect(name) for name in self.effects],
             recommended=dict.fromkeys(left_out, "off"),
             recommended_ms=ms,
             recommended_error=apart,
@@ -257,7 +258,8 @@ class _Audit:
         left.sort(key=lambda name: max(self.seen[name].influence))
         as_is = self._steps(start, {}, self.steps)
         while left:
-            changes = {key: value for name in left for key, value in EFFECTS[name].off.items()}
+            without = chosen(self.settings, dict.fromkeys(left, "off"), self.effects)
+            changes = {key: getattr(without, key) for name in left for key in self.effects[name].off}
             way = self._steps(start, changes, self.steps)
             apart = self._apart(way, as_is)
             if apart <= self.tolerance and way.inside <= as_is.inside and way.crossed <= as_is.crossed:
