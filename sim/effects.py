@@ -277,7 +277,18 @@ class Told:
             found[name] += self._streak(name, found[name], report)
         found["contact"] = _contact(settings, model, report, obstacles, there)
         found["integrator"] = _integrator(settings, report, limit)
+        found["sleep"] = "off: sleep is off" if settings.sleep == "off" else "awake"
         return found
+
+    def asleep(self, settings: Settings, obstacles: Sequence[str]) -> dict[str, str]:
+        """The same of a step that is left out, as all cloth sleeps."""
+        off = {
+            name: f"off: {_why_off(effect)}" if state(name, settings) == "off" else ""
+            for name, effect in effects_with(obstacles).items()
+        }
+        return {name: words or "skipped: all cloth is at rest" for name, words in off.items()} | {
+            "sleep": "asleep"
+        }
 
     def _streak(self, name: str, words: str, report: StepReport) -> str:
         """For how long an effect has been skipped, and what that saved."""

@@ -484,6 +484,20 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="each digit costs more solver iterations",
         ),
     ] = 1e-4
+    sleep: Annotated[
+        Literal["off", "auto"],
+        choice(
+            "Solver",
+            "Whether cloth that has come to rest is left out of steps until something could move it.",
+            choices=lambda: {
+                "off": "every step is taken",
+                "auto": "none while all cloth is still: slower than 1e-5 of its size per second for half a "
+                "second, with nothing that drives it",
+            },
+            label="sleep",
+            cost="a step at rest costs next to nothing",
+        ),
+    ] = "off"
     threads: Annotated[
         int,
         number(

@@ -28,6 +28,7 @@ from sim.report import StepError, StepReport
 from sim.safe import suspect
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
+from sim.sleep import AFTER, driven, still
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
 from sim.threads import processor_threads
@@ -52,6 +53,7 @@ class Snapshot:
     memory: dict[str, np.ndarray]
     injected: float
     books: Books | None = None
+    still: float = 0.0
 
 
 class Simulation:
@@ -88,6 +90,9 @@ class Simulation:
         self._books: Books | None = None
         self._edges: Limit | None = None
         self._told = Told()
+        self._still = 0.0
+        self._last = StepReport()
+        self._size = float(np.ptp(self.mesh.rest_vertices, axis=0).max())
         self.model.forget(self._positions)
 
     def _start(self) -> np.ndarray:
@@ -211,8 +216,14 @@ class Simulation:
         check_obstacles(settings, self.scene.obstacle_labels)
         return settings
 
+    @property
+    def asleep(self) -> bool:
+        """Whether all cloth sleeps: steps are left out until something could move it."""
+        return self.settings.sleep == "auto" and self._still >= AFTER
+
     def _go_over(self, ramp: Ramp) -> None:
         """Put the settings of `ramp` in force, and book the energy that this puts in."""
+        self._still = 0.0
         before = sum(self.energy().values())
         self.model.apply(ramp.settings, self._positions)
         self._ramp = ramp
@@ -243,6 +254,7 @@ class Simulation:
 
     def stop(self) -> None:
         """Take all velocity off the cloth, and book it as a change of settings."""
+        self._still = 0.0
         self._injected -= self.energy()["kinetic"]
         self._velocities = np.zeros_like(self._velocities)
         self._previous = None
@@ -260,6 +272,7 @@ class Simulation:
             memory=self.model.memory(),
             injected=self._injected,
             books=self._books,
+            still=self._still,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -267,7 +280,7 @@ class Simulation:
         self.model.apply(snapshot.ramp.settings, snapshot.positions)
         self._ramp, self._time, self._injected = snapshot.ramp, snapshot.time, snapshot.injected
         self._positions, self._velocities = snapshot.positions.copy(), snapshot.velocities.copy()
-        self._previous, self._limit = snapshot.previous, None
+        self._previous, self._limit, self._still = snapshot.previous, None, snapshot.still
         self.contact.touched = snapshot.touched
         self.model.restore_memory(snapshot.memory, self._positions)
         if self._books is not None:
@@ -280,6 +293,10 @@ class Simulation:
         Raises:
             StepError: where the step cannot be done; the state is as it was.
         """
+        if self.asleep:
+            if not driven(self.settings, self.contact.obstacles, self._time, self._positions):
+                return self._sleep()
+            self._still = 0.0
         report, ramp, injected = StepReport(), self._ramp, self._injected
         self.model.costs = report.costs
         try:
@@ -292,6 +309,7 @@ class Simulation:
                 self._go_over(ramp)
                 self._injected = injected
             raise
+        before = self._velocities, self._time
         report.energy_injected, self._injected = self._injected, 0.0
         report.moved = self._longest_way(solution.positions)
         if self.model.wind is not None:
@@ -302,6 +320,35 @@ class Simulation:
                 depths = self.contact.depths(self._time, self._positions, self.settings)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             report.effects = self._effects(report)
+            if self.settings.sleep == "auto":
+                self._rest(*before, report)
+        self._last = report
+        return report
+
+    def _rest(self, before: np.ndarray, time: float, report: StepReport) -> None:
+        """Count for how long cloth is still, from its velocities `before` a step; it may fall asleep."""
+        h = self.settings.dt
+        calm = self._ramp.over and still(before, self._velocities, h, self._size)
+        if not calm or driven(self.settings, self.contact.obstacles, time, self._positions):
+            self._still = 0.0
+            return
+        self._still += h
+        if self.asleep:
+            report.discarded = self.energy()["kinetic"]
+            self._velocities, self._previous = np.zeros_like(self._velocities), None
+            self.contact.touched = self.contact.touched.still()
+            if self._books is not None:
+                self._books = self._books.asleep(report.discarded)
+
+    def _sleep(self) -> StepReport:
+        """Let time pass."""
+        report = replace(self._last, ms=dict.fromkeys(self._last.ms, 0.0), costs={}, asleep=True)
+        report.iterations = report.newton = report.energy_jumps = 0
+        report.moved = report.discarded = report.wind_work = 0.0
+        report.energy_injected = report.energy_jump = 0.0
+        with report.phase("report"):
+            self._time += self.settings.dt
+            report.effects = self._told.asleep(self.settings, self.scene.obstacle_labels)
         return report
 
     def _advance(self, report: StepReport) -> tuple[Solution, Touch]:
