@@ -375,7 +375,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                 "off": "edges go through edges",
             },
             label="edge–edge tests",
-            cost="three quarters of all pairs are pairs of edges",
+            cost="about half of what collisions of cloth cost",
         ),
     ] = "auto"
     thickness: Annotated[
