@@ -22,7 +22,7 @@ FAILS = "fails on purpose"
 
 def comparable() -> list[Field]:
     """The settings that variants can differ in: numbers, and choices that leave one."""
-    fields = [f for f in FIELDS.values() if f.name not in NOT_COMPARED and f.type != "vector"]
+    fields = [f for f in FIELDS.values() if f.name not in NOT_COMPARED and f.type not in ("vector", "text")]
     return [f for f in fields if f.choices is None or len(f.choices()) > 1]
 
 

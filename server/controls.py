@@ -230,6 +230,15 @@ class Number(Control):
         self._watch(handle, self.field.clamp)
 
 
+class Words(Control):
+    """A box for a text."""
+
+    def make(self, value: Any) -> None:
+        """Add the box."""
+        handle = self._gui.add_text(self._label, value, hint=self._hint)
+        self._watch(handle, lambda v: convert(self.field.name, v))
+
+
 class Vector(Control):
     """Three boxes."""
 
@@ -247,6 +256,8 @@ def make_control(
         kind = Choice
     elif field.type == "vector":
         kind = Vector
+    elif field.type == "text":
+        kind = Words
     elif field.slider is None:
         kind = Number
     else:

@@ -26,7 +26,7 @@ from server.palette import MAX_VARIANTS
 from server.prober import Prober
 from server.rescue import made_safe
 from server.ringdown import RingDown, measure_damping
-from sim.effects import EFFECTS, switch
+from sim.effects import find_effect, switch
 from sim.mesh import build_mesh
 from sim.scene import Scene, SceneError, load_scene, scene_files
 from sim.settings import FIELDS, Settings
@@ -217,7 +217,7 @@ class Lab:
         """Put a cloth without an effect beside one that has it; starts again."""
         now = self._comparison.settings(0)
         having = switch(name, "auto", now, self._scene.settings)
-        ((setting, without),) = EFFECTS[name].off.items()
+        ((setting, without),) = find_effect(name).off.items()
         values = having.get(setting, getattr(now, setting)), without
         self._comparison = Comparison(self._comparison.shared, setting, values)
         self._open()

@@ -75,6 +75,10 @@ class Panel:
         self.act(handle, options, then)
         return handle
 
+    def folder(self, label: str) -> viser.GuiFolderHandle:
+        """A folder for more controls."""
+        return self._gui.add_folder(label)
+
     def act(self, handle: Any, options: Sequence[str], then) -> None:
         """Have the lab do `then(option)` when a client picks one of `options`; others are refused."""
 
@@ -143,6 +147,7 @@ class Panel:
     def show_scene(self, scene: Scene) -> None:
         """Say which scene is open and what to look for in it."""
         self._scene.value = scene.name
+        self._switches.offer(scene.obstacle_labels)
         lesson = scene.lesson
         self._lesson.content = style.lesson(lesson.title, lesson.look_for, lesson.tries) if lesson else ""
 

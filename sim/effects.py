@@ -4,13 +4,16 @@ An effect is left out by the settings that mean just that: there is no second sw
 are so; `on` where it is looked at even in steps in which it cannot act; and else `auto`, which skips it where
 a bound shows that it cannot act in the step, so that the cloth is the same as with `on`.
 
+Every obstacle of a scene is an effect of its own, beside `obstacles`, which is about all of them.
+
 This module imports no numba: scenes are checked without.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -36,12 +39,32 @@ class Effect:
         off: Settings that leave it out.
         usual: Settings that bring it in where a scene has none.
         on: Settings that have it looked at in every step; none where there is nothing that auto could skip.
+        obstacle: The one that it is about, where these are switches of single obstacles; else empty.
     """
 
     changes: str
     off: Mapping[str, Any]
     usual: Mapping[str, Any]
     on: Mapping[str, Any] = field(default_factory=dict)
+    obstacle: str = ""
+
+    def value(self, name: str, settings: Settings) -> Any:
+        """What `settings` have for a setting of this effect."""
+        value = getattr(settings, name)
+        return single_obstacles(value).get(self.obstacle, "auto") if self.obstacle else value
+
+    def has(self, values: Mapping[str, Any], settings: Settings) -> bool:
+        """Whether `settings` have all these values, of which there are some."""
+        return bool(values) and all(self.value(name, settings) == value for name, value in values.items())
+
+    def changed(self, values: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
+        """The changes of `settings` that give them these values."""
+        if not self.obstacle:
+            return dict(values)
+        return {
+            name: _switches(single_obstacles(getattr(settings, name)) | {self.obstacle: value})
+            for name, value in values.items()
+        }
 
 
 EFFECTS: dict[str, Effect] = {
@@ -56,17 +79,32 @@ EFFECTS: dict[str, Effect] = {
         "keeps cloth out of obstacles", {"obstacles": "off"}, {"obstacles": "auto"}, {"obstacles": "on"}
     ),
     "self_collision": Effect(
-        "keeps cloth out of cloth",
+        "keeps a piece of cloth out of itself",
         {"self_collision": "off"},
         {"self_collision": "auto"},
         {"self_collision": "on"},
+    ),
+    "cloth_collision": Effect(
+        "keeps pieces of cloth out of each other",
+        {"cloth_collision": "off"},
+        {"cloth_collision": "auto"},
+        {"cloth_collision": "on"},
+    ),
+    "edge_edge": Effect(
+        "keeps edges out of edges", {"edge_edge": "off"}, {"edge_edge": "auto"}, {"edge_edge": "on"}
     ),
     "continuous_detection": Effect(
         "finds what meets between two instants", {"detection": "static"}, {"detection": "continuous"}
     ),
     "friction": Effect("slows what slides", {"friction": 0.0}, {"friction": 0.3}),
 }
-"""Every effect by the name that scenes, reports and pages have for it."""
+"""Every effect but single obstacles, by the name that scenes, reports and pages have for it."""
+
+OBSTACLE = "obstacle "
+"""What the name of a single obstacle's effect begins with; what it is called follows."""
+
+COLLISIONS = ("self_collision", "cloth_collision")
+"""Effects whose pairs are of cloth and cloth."""
 
 CHOICES = ("auto", "on", "off")
 
@@ -74,16 +112,65 @@ SPRINGS = {"stretch": "stretch", "altitude": "altitudes", "bending": "bending"}
 """The effect of springs, by the setting that scales them."""
 
 
+def single_obstacles(switches: str) -> dict[str, str]:
+    """The obstacles that `each_obstacle` names, and how each one is switched."""
+    return dict(part.strip().split("=") for part in switches.split(",") if part)
+
+
+def _switches(choices: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}={choice}" for name, choice in choices.items() if choice != "auto")
+
+
+def obstacle_labels(names: Sequence[str]) -> list[str]:
+    """What obstacles with these `names` are called: their numbers where names are none, or no good."""
+    good = [bool(re.fullmatch(r"[^=,\s]([^=,]*[^=,\s])?", name)) and not name.isdigit() for name in names]
+    return [
+        name if fine and names.count(name) == 1 else str(k)
+        for k, (name, fine) in enumerate(zip(names, good, strict=True))
+    ]
+
+
+def effects_with(labels: Iterable[str]) -> dict[str, Effect]:
+    """Every effect of a scene whose obstacles have these `labels`."""
+    return EFFECTS | {OBSTACLE + label: _single(label) for label in labels}
+
+
+def _single(label: str) -> Effect:
+    choices = ({"each_obstacle": choice} for choice in ("off", "auto", "on"))
+    return Effect(f"keeps cloth out of the obstacle {label}", *choices, obstacle=label)
+
+
+def find_effect(name: str) -> Effect:
+    """The effect of that name; a single obstacle's may be one of any scene.
+
+    Raises:
+        ValueError: names the effect and those there are.
+    """
+    if name.startswith(OBSTACLE):
+        return _single(name.removeprefix(OBSTACLE))
+    if name not in EFFECTS:
+        raise ValueError(_no_effect(name, EFFECTS))
+    return EFFECTS[name]
+
+
+def _no_effect(name: str, known: Iterable[str]) -> str:
+    return f"{name}: no such effect; the effects are {', '.join(known)}"
+
+
+def check_obstacles(settings: Settings, labels: Sequence[str]) -> None:
+    """Raise ValueError where single obstacles are switched that a scene with these `labels` has not."""
+    for name in single_obstacles(settings.each_obstacle):
+        if name not in labels:
+            there = f"one of {', '.join(labels)}" if labels else "none, as there are no obstacles"
+            raise ValueError(f"each_obstacle: expected {there}, got {name!r}")
+
+
 def state(name: str, settings: Settings) -> State:
     """Whether `settings` have an effect "off", "on" or "auto"."""
-    effect = EFFECTS[name]
-    if _hold(effect.off, settings):
+    effect = find_effect(name)
+    if effect.has(effect.off, settings):
         return "off"
-    return "on" if effect.on and _hold(effect.on, settings) else "auto"
-
-
-def _hold(values: Mapping[str, Any], settings: Settings) -> bool:
-    return all(getattr(settings, name) == value for name, value in values.items())
+    return "on" if effect.has(effect.on, settings) else "auto"
 
 
 def switch(name: str, choice: str, settings: Settings, wanted: Settings | None = None) -> dict[str, Any]:
@@ -98,36 +185,39 @@ def switch(name: str, choice: str, settings: Settings, wanted: Settings | None =
     Raises:
         ValueError: names the effect, what was expected and what was found.
     """
-    if name not in EFFECTS:
-        raise ValueError(f"{name}: no such effect; the effects are {', '.join(EFFECTS)}")
+    effect = find_effect(name)
     if choice not in CHOICES:
         raise ValueError(f'{name}: expected one of "auto", "on", "off", got {choice!r}')
-    effect = EFFECTS[name]
     if choice == "off":
-        return dict(effect.off)
+        return effect.changed(effect.off, settings)
     if choice == "on" and effect.on:
-        return dict(effect.on)
+        return effect.changed(effect.on, settings)
     now = state(name, settings)
     if now == "off":
         source = settings if wanted is None else wanted
-        return dict(effect.usual) if state(name, source) != "auto" else _values(effect, source)
-    return dict(effect.usual) if now == "on" and choice == "auto" else {}
+        if state(name, source) != "auto":
+            return effect.changed(effect.usual, settings)
+        return effect.changed({name: effect.value(name, source) for name in effect.off}, settings)
+    return effect.changed(effect.usual, settings) if now == "on" and choice == "auto" else {}
 
 
-def _values(effect: Effect, settings: Settings) -> dict[str, Any]:
-    return {name: getattr(settings, name) for name in effect.off}
-
-
-def chosen(settings: Settings, choices: Mapping[str, str]) -> Settings:
+def chosen(settings: Settings, choices: Mapping[str, str], known: Mapping[str, Effect] = EFFECTS) -> Settings:
     """`settings` with effects as `choices` force them; auto leaves them as they are.
+
+    Args:
+        settings: In force.
+        choices: "auto", "on" or "off" by effect.
+        known: The effects that there are.
 
     Raises:
         ValueError: as `switch`; also for an effect forced on that has nothing to act with.
     """
     for name, choice in choices.items():
-        changes = switch(name, choice, settings)
-        if choice == "on" and not EFFECTS[name].on and state(name, settings) == "off":
-            ((setting, value),) = EFFECTS[name].off.items()
+        if name not in known:
+            raise ValueError(_no_effect(name, known))
+        changes, effect = switch(name, choice, settings), known[name]
+        if choice == "on" and not effect.on and state(name, settings) == "off":
+            ((setting, value),) = effect.off.items()
             shown = list(value) if isinstance(value, tuple) else value
             raise ValueError(
                 f'{name}: expected "auto" or "off" while settings.{setting} is {shown}, got "on"'
@@ -150,7 +240,12 @@ class Told:
         self.usual: dict[str, float] = {}
 
     def tell(
-        self, settings: Settings, model: Model, report: StepReport, obstacles: bool, limit: float | None
+        self,
+        settings: Settings,
+        model: Model,
+        report: StepReport,
+        obstacles: Sequence[str],
+        limit: float | None,
     ) -> dict[str, str]:
         """Each effect by name: that it ran, or in a few words why not.
 
@@ -158,26 +253,42 @@ class Told:
             settings: In force.
             model: Its springs.
             report: Of the step, with the number of contacts.
-            obstacles: Whether the scene has any.
+            obstacles: What those of the scene are called.
             limit: Longest stable step of an explicit integrator [s], None for an implicit one, nan where
                 there is none because the springs are wrong.
         """
-        found = dict.fromkeys(EFFECTS, "ran")
+        effects, there = effects_with(obstacles), feels_obstacles(settings, obstacles)
+        found = dict.fromkeys(effects, "ran")
         for springs in model.springs:
             found[SPRINGS[springs.kind.stiffness]] = _springs(springs, report)
         found["obstacles"] = _obstacles(settings, report, obstacles)
-        found["self_collision"] = _self_collision(settings, model, report)
-        found["continuous_detection"] = _continuous(settings, model, report, obstacles)
+        for label in obstacles:
+            found[OBSTACLE + label] = _obstacle(settings, report, label)
+        for name in COLLISIONS:
+            found[name] = _collision(name, settings, model, report)
+        found["edge_edge"] = _edge_edge(settings, model, report, there)
+        found["continuous_detection"] = _continuous(settings, model, report, there)
         found["wind"] = "ran" if model.wind is not None else "skipped: no triangles"
         found["strain_limiting"] = _strain(report)
         found["friction"] = "ran" if report.contacts else "skipped: no contacts"
-        for name, effect in EFFECTS.items():
+        for name, effect in effects.items():
             if state(name, settings) == "off":
                 found[name] = f"off: {_why_off(effect)}"
             found[name] += self._streak(name, found[name], report)
-        found["contact"] = _contact(settings, report, obstacles)
+        found["contact"] = _contact(settings, model, report, obstacles, there)
         found["integrator"] = _integrator(settings, report, limit)
+        found["sleep"] = "off: sleep is off" if settings.sleep == "off" else "awake"
         return found
+
+    def asleep(self, settings: Settings, obstacles: Sequence[str]) -> dict[str, str]:
+        """The same of a step that is left out, as all cloth sleeps."""
+        off = {
+            name: f"off: {_why_off(effect)}" if state(name, settings) == "off" else ""
+            for name, effect in effects_with(obstacles).items()
+        }
+        return {name: words or "skipped: all cloth is at rest" for name, words in off.items()} | {
+            "sleep": "asleep"
+        }
 
     def _streak(self, name: str, words: str, report: StepReport) -> str:
         """For how long an effect has been skipped, and what that saved."""
@@ -195,12 +306,16 @@ class Told:
 
 def _why_off(effect: Effect) -> str:
     ((name, value),) = effect.off.items()
+    if effect.obstacle:
+        return f"{name} has {effect.obstacle}={value}"
     nothing = value == 0.0 or value == (0.0, 0.0, 0.0)
     return f"{name} is {'zero' if nothing else value}"
 
 
 def _springs(springs: Springs, report: StepReport) -> str:
-    words = "ran" if springs.value > 0.0 else "skipped: their stiffness is zero"
+    if not springs.acts:
+        return "skipped: their stiffness is zero"
+    words = "ran"
     if springs.kind.wrong:
         words = f"ran, wrong on purpose: {springs.kind.wrong}"
     if springs.kind.switch and report.energy_jumps:
@@ -232,13 +347,29 @@ def _tunnelling(settings: Settings, report: StepReport, thickness: float) -> str
     return f"; may tunnel: moved {1e3 * report.moved:.3g} mm, thickness {1e3 * thickness:.2g} mm, {why}"
 
 
-def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
+def feels_obstacles(settings: Settings, obstacles: Sequence[str]) -> bool:
+    """Whether cloth feels one of the obstacles at least."""
+    single = single_obstacles(settings.each_obstacle)
+    return settings.obstacles != "off" and any(single.get(label) != "off" for label in obstacles)
+
+
+def feels_cloth(settings: Settings, several: bool) -> bool:
+    """Whether cloth feels itself, or one of `several` pieces another."""
+    return settings.self_collision != "off" or (settings.cloth_collision != "off" and several)
+
+
+def _meets_cloth(settings: Settings, model: Model) -> bool:
+    return len(model.mesh.edges) > 0 and feels_cloth(settings, model.mesh.several)
+
+
+def _contact(
+    settings: Settings, model: Model, report: StepReport, obstacles: Sequence[str], felt: bool
+) -> str:
     """What the collision method did."""
     if settings.contact == "none":
         return "off: contact is none"
-    felt = obstacles and settings.obstacles != "off"
-    if not felt and settings.self_collision == "off":
-        return f"off: no obstacle{' is felt' * obstacles}, and self-collision is off"
+    if not felt and not _meets_cloth(settings, model):
+        return f"off: no obstacle{' is felt' * bool(obstacles)}, and no cloth is felt"
     words = f"ran: {report.contacts} contacts" if report.contacts else "ran: nothing within reach"
     if report.substeps > 1:
         words += f"; in {report.substeps} parts, as in one it would have tangled or put energy in"
@@ -249,38 +380,67 @@ def _contact(settings: Settings, report: StepReport, obstacles: bool) -> str:
     return words + _tunnelling(settings, report, settings.thickness)
 
 
-def _obstacles(settings: Settings, report: StepReport, obstacles: bool) -> str:
+def _obstacles(settings: Settings, report: StepReport, obstacles: Sequence[str]) -> str:
     if settings.contact == "none":
         return "off: contact is none"
     if not obstacles:
         return "skipped: there are none"
-    return "ran" if report.near_obstacles else "skipped: none within reach"
+    near = sum(_near(report, label) for label in obstacles)
+    if not near:
+        return "skipped: none within reach"
+    return "ran" if near == len(obstacles) else f"ran: {near} of {len(obstacles)} within reach"
 
 
-def _self_collision(settings: Settings, model: Model, report: StepReport) -> str:
+def _near(report: StepReport, label: str) -> bool:
+    """Whether an obstacle could not be shown to be out of reach."""
+    return label in report.near_obstacles or OBSTACLE + label in report.looked
+
+
+def _obstacle(settings: Settings, report: StepReport, label: str) -> str:
+    if settings.contact == "none" or settings.obstacles == "off":
+        return "off: " + ("contact is none" if settings.contact == "none" else "obstacles is off")
+    return "ran" if _near(report, label) else "skipped: out of reach"
+
+
+def _collision(name: str, settings: Settings, model: Model, report: StepReport) -> str:
+    """Of cloth with cloth: within pieces, or between them."""
     if settings.contact == "none":
         return "off: contact is none"
     if not len(model.mesh.edges):
         return "off: no edges"
-    words = f"ran: {report.candidates} pairs looked at, {report.near} near"
-    if not report.looks:
-        words = "skipped: nothing within reach"
-    if report.looks and not report.lists:
+    if name == "cloth_collision" and not model.mesh.several:
+        return "skipped: there is one piece"
+    if name not in report.looked and state(name, settings) != "on":
+        return "skipped: nothing within reach"
+    words = _pairs(name, report)
+    if not report.lists:
         words += "; the list of an earlier step holds"
-    if report.hits:
-        words += f", {report.hits} kept from meeting"
     if report.thickness < settings.thickness:
         words += f"; {1e3 * report.thickness:.2g} mm thick, 0.4 of an edge"
     return words + _tunnelling(settings, report, report.thickness or settings.thickness)
 
 
-def _continuous(settings: Settings, model: Model, report: StepReport, obstacles: bool) -> str:
+def _edge_edge(settings: Settings, model: Model, report: StepReport, felt: bool) -> str:
     if settings.contact == "none":
         return "off: contact is none"
-    if not ((obstacles and settings.obstacles != "off") or settings.self_collision != "off"):
+    if not (_meets_cloth(settings, model) or felt):
+        return "skipped: there is nothing to meet"
+    if "edge_edge" not in report.looked and settings.edge_edge != "on":
+        return "skipped: no edge within reach of another"
+    return _pairs("edge_edge", report)
+
+
+def _pairs(name: str, report: StepReport) -> str:
+    return f"ran: {report.looked.get(name, 0)} pairs looked at, {report.felt.get(name, 0)} felt"
+
+
+def _continuous(settings: Settings, model: Model, report: StepReport, felt: bool) -> str:
+    if settings.contact == "none":
+        return "off: contact is none"
+    if not (felt or _meets_cloth(settings, model)):
         return "skipped: there is nothing to meet"
     if report.sweeps or report.near_obstacles:
-        return "ran"
+        return f"ran: {report.hits} kept from meeting" if report.hits else "ran"
     return "skipped: all goes less far than half the way to what is nearest"
 
 

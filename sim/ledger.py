@@ -13,6 +13,7 @@ to be.
   in which the slip turns about, friction may come out a little below zero.
 - linearisation: −v̄·L. A step that is solved to the end has none.
 - wind: the work of drag and lift, which S has, too.
+- sleep: the kinetic energy of cloth that falls asleep (`sim.sleep`).
 - strain limiting: −v̄ times what it gave after the solve.
 - integrator: wind − ΔU − v̄·S − damping: what S took from the kinetic energy and no potential gained. For
   backward Euler without contact it is ½ ‖v₁ − v₀‖²_M + Σ [E(x₀) − E(x₁) − ∇E(x₁)·(x₀ − x₁)], the two squares
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from sim.integrators import State
     from sim.model import Model
 
-DISSIPATED = ("damping", "friction", "contact", "strain limiting", "linearisation", "integrator")
+DISSIPATED = ("damping", "friction", "contact", "strain limiting", "linearisation", "integrator", "sleep")
 INJECTED = ("settings", "wind", "obstacles", "switched springs", "wrong springs")
 
 Account = dict[str, float]
@@ -112,6 +113,11 @@ class Books:
             for name, amount in part.flows.items():
                 flows[name] += amount
         return Books(self.start, flows, turnover, rows)
+
+    def asleep(self, energy: float) -> Books:
+        """With the `energy` [J] that cloth had when it fell asleep, and no longer has."""
+        flows = {**self.flows, "sleep": self.flows["sleep"] + energy}
+        return Books(self.start, flows, self.turnover + energy)
 
 
 class Tally:

@@ -57,6 +57,11 @@ class Mesh:
     warnings: tuple[str, ...]
 
     @property
+    def several(self) -> bool:
+        """Whether there are several pieces of cloth."""
+        return bool(self.pieces.any())
+
+    @property
     def altitudes(self) -> np.ndarray:
         """(3 m, 3) int32: apex, then the ends of the opposite edge; the three of each triangle in a row."""
         return self.triangles[:, [[0, 1, 2], [1, 2, 0], [2, 0, 1]]].reshape(-1, 3)

@@ -17,7 +17,7 @@ from sim.settings import Settings
 from sim.solve.cg import make_workspace
 from sim.solve.coupling import uncoupled
 from sim.solve.preconditioner import build_preconditioner
-from sim.solve.system import add_curvature, add_elements, add_forces, build_system, confine, reset
+from sim.solve.system import Gather, add_curvature, add_elements, add_forces, build_system, confine, reset
 from sim.springs.build import Springs, build_springs, kinds_in_force
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Model:
         axis: The coordinate, 0 to 2, that the scene keeps as it is; None where all may move.
         free_mass: Sum of the masses of free vertices [kg].
         piece_masses: (pieces,) [kg].
-        springs: one per kind in force.
+        springs: one per kind in force; those without stiffness are there, and nothing is done about them.
         wind: The air, where it acts.
         costs: Milliseconds spent on each effect, added up.
         matrix: A, filled by `linearise`.
@@ -66,6 +66,7 @@ class Model:
     def apply(self, settings: Settings, positions: np.ndarray) -> None:
         """Take over new settings; a new spring kind starts from the present `positions` (n, 3)."""
         old, self.settings = self.settings, settings
+        idle = [springs for springs in self.springs if not springs.acts]
         if (old.mass, old.density) != (settings.mass, settings.density):
             self._set_masses()
         if kinds_in_force(old) != kinds_in_force(settings):
@@ -74,6 +75,10 @@ class Model:
             self.remember(positions, [s for s in self.springs if s.name not in known])
         for springs in self.springs:
             springs.apply(settings)
+        woken = [springs for springs in idle if springs.acts]
+        for springs in woken:  # what they remember is long past
+            springs.recall(0.0)
+        self.remember(positions, woken)
         self.measure(positions)
         self.choose()
         self.damping_ratios = damping_ratios(settings)
@@ -125,7 +130,7 @@ class Model:
         self.measure(positions)
         self._forces[:] = self.masses[:, None] * np.asarray(self.settings.gravity)
         reset(self.matrix, self.masses)
-        for springs, gather in zip(self.springs, self._gathers, strict=True):
+        for springs, gather in self._acting():
             begin, elements = perf_counter(), springs.elements
             curvature = springs.curvature(positions) if exact else None
             bends = NONE if curvature is not None else BENDS[springs.kind.bends]
@@ -144,6 +149,10 @@ class Model:
             confine(self.matrix, self.masses, self.axis, self._forces)
         self.coupling = contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
+
+    def _acting(self) -> list[tuple[Springs, Gather]]:
+        """The springs that have some stiffness, and their gather lists."""
+        return [pair for pair in zip(self.springs, self._gathers, strict=True) if pair[0].acts]
 
     def confined(self, vectors: np.ndarray) -> np.ndarray:
         """The part of `vectors` (n, 3) that can be moved along: zero where pinned, and along `axis`."""
@@ -183,7 +192,7 @@ class Model:
         """(n, 3) elastic, damping, gravity and wind forces [N]; b `anew`, or as last linearised."""
         self.measure(positions)
         forces = self.masses[:, None] * np.asarray(self.settings.gravity)
-        for springs, gather in zip(self.springs, self._gathers, strict=True):
+        for springs, gather in self._acting():
             if anew:
                 set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
             set_tension(springs.elements, velocities)
@@ -203,7 +212,8 @@ class Model:
         """Potential energy [J] of gravity (zero at the origin) and of each spring kind."""
         self.measure(positions)
         gravity = -float(self.masses @ (positions @ np.asarray(self.settings.gravity)))
-        return {"gravity": gravity, **{s.name: float(elastic_energy(s.elements)) for s in self.springs}}
+        springs = {s.name: float(elastic_energy(s.elements)) if s.acts else 0.0 for s in self.springs}
+        return {"gravity": gravity, **springs}
 
     def potential(self, positions: np.ndarray, contacts: GapSprings) -> float:
         """Potential energy [J] of everything that the implicit step feels."""
@@ -211,7 +221,7 @@ class Model:
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate every spring's coordinate and gradient at `positions`."""
-        for springs in self.springs:
+        for springs, _ in self._acting():
             begin = perf_counter()
             springs.measure(positions)
             self._spent(SPRINGS[springs.kind.stiffness], begin)
@@ -227,7 +237,8 @@ class Model:
             How many elements began or ceased to act, and the energy [J] that this put in.
         """
         for s in self.springs if springs is None else springs:
-            s.remember(positions)
+            if s.acts:
+                s.remember(positions)
         return self.choose()
 
     def forget(self, positions: np.ndarray) -> None:
@@ -238,7 +249,7 @@ class Model:
 
     def choose(self) -> tuple[int, float]:
         """Let each kind choose, from what was last measured, which of its elements act; as `remember`."""
-        changes = [springs.choose(self.settings) for springs in self.springs]
+        changes = [springs.choose(self.settings) for springs, _ in self._acting()]
         return sum(count for count, _ in changes), sum(energy for _, energy in changes)
 
     def memory(self) -> dict[str, np.ndarray]:

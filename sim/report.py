@@ -41,7 +41,9 @@ class StepReport:
         deepest: How far the deepest of them is inside [m].
         moved: The longest way that a vertex or an obstacle went [m].
         candidates: Pairs of features of cloth that were looked at.
-        near: Of these, those nearer than the thickness at the start.
+        looked: Of these, by effect, those that bounds could not show to be out of reach as a whole.
+        near: Of these, those hardly farther than the thickness at the start.
+        felt: Pairs of features that were near or would have met, by effect, summed over all looks.
         thickness: That cloth had against cloth [m]; no more than a part of a typical edge.
         hits: Pairs that continuous detection found to meet, summed over its rounds.
         zones: Groups of contacts that shared vertices and were settled at once, as sweeps did not.
@@ -60,7 +62,9 @@ class StepReport:
         lists: Broad phases: lists of pairs that were made anew.
         looks: Times that the pairs on a list were looked at.
         sweeps: Times that it was looked whether they meet on the way.
-        near_obstacles: Whether some obstacle could not be shown to be out of reach.
+        near_obstacles: Those but meshes that could not be shown to be out of reach.
+        asleep: Whether the step was left out, as all cloth sleeps: all else is of the last one that was not.
+        discarded: Kinetic energy that cloth had when it fell asleep at the end of the step [J].
         costs: Milliseconds by effect, of the work that is done for it alone.
     """
 
@@ -76,7 +80,9 @@ class StepReport:
     deepest: float = 0.0
     moved: float = 0.0
     candidates: int = 0
+    looked: dict[str, int] = field(default_factory=dict)
     near: int = 0
+    felt: dict[str, int] = field(default_factory=dict)
     thickness: float = 0.0
     hits: int = 0
     zones: int = 0
@@ -95,7 +101,9 @@ class StepReport:
     lists: int = 0
     looks: int = 0
     sweeps: int = 0
-    near_obstacles: bool = False
+    near_obstacles: set[str] = field(default_factory=set)
+    asleep: bool = False
+    discarded: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)
     _within: float = field(default=0.0, repr=False)
 

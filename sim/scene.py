@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, field
 
-from sim.effects import chosen
+from sim.effects import check_obstacles, chosen, effects_with, obstacle_labels
 from sim.refusal import in_words
 from sim.settings import FIELDS, Settings, convert
 
@@ -256,6 +256,11 @@ class Scene(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     source: str = "scene"
     folder: str = ""
 
+    @property
+    def obstacle_labels(self) -> list[str]:
+        """What each obstacle is called where effects are: its name, or its number."""
+        return obstacle_labels([part.name for part in self.obstacle])
+
 
 def scene_files() -> list[Path]:
     """The scene files that come with Muslin, by name."""
@@ -321,7 +326,8 @@ def _checked(table: dict[str, Any], where: str, name: str) -> Scene:
     table["cloth"] = _cloth_list(table.get("cloth", []), where)
     if isinstance(table.get("obstacle"), list):
         table["obstacle"] = [_kind_of_arrays(obstacle) for obstacle in table["obstacle"]]
-    table["settings"] = _settings(table.get("settings", {}), table.get("effects", {}), where)
+    labels = obstacle_labels(_names(table.get("obstacle")))
+    table["settings"] = _settings(table.get("settings", {}), table.get("effects", {}), labels, where)
     try:
         scene = msgspec.convert(table, Scene)
     except msgspec.ValidationError as error:
@@ -342,18 +348,27 @@ def _kind_of_arrays(part: Any) -> Any:
     return {"kind": "arrays", **part} if isinstance(part, dict) and "vertices" in part else part
 
 
-def _settings(table: Any, effects: Any, where: str) -> Settings:
-    """The settings of a scene, with its effects as it forces them."""
+def _names(obstacles: Any) -> list[str]:
+    """The names of the obstacles in a table that nobody has checked yet."""
+    tables = (
+        [part if isinstance(part, dict) else {} for part in obstacles] if isinstance(obstacles, list) else []
+    )
+    return [name if isinstance(name := table.get("name"), str) else "" for table in tables]
+
+
+def _settings(table: Any, effects: Any, labels: list[str], where: str) -> Settings:
+    """The settings of a scene whose obstacles have these labels, with its effects as it forces them."""
     if not isinstance(table, dict):
         raise SceneError(f"{where}: settings: expected a table of settings, got {table!r}")
     try:
         settings = Settings(**{name: convert(name, value) for name, value in table.items()})
+        check_obstacles(settings, labels)
     except ValueError as error:
         raise SceneError(f"{where}: settings.{error}") from None
     if not isinstance(effects, dict):
         raise SceneError(f"{where}: effects: expected a table of effects, got {effects!r}")
     try:
-        return chosen(settings, effects)
+        return chosen(settings, effects, effects_with(labels))
     except ValueError as error:
         raise SceneError(f"{where}: effects.{error}") from None
 

@@ -6,6 +6,7 @@ parameter table in the docs are all read from here; nothing else lists the setti
 
 import json
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -55,6 +56,15 @@ def choice(
     extra = {"unit": "", "group": group, "choices": choices, "label": label, "formula": "", "cost": cost}
     return Meta(description=description, extra=extra)
 
+
+def text(group: str, description: str, *, pattern: str, example: str, label: str, cost: str) -> Meta:
+    """The words of a setting that is a text, of the form that `pattern` says and `example` shows."""
+    extra = {"unit": "", "group": group, "example": example, "label": label, "formula": "", "cost": cost}
+    return Meta(pattern=pattern, description=description, extra=extra)
+
+
+SWITCHES = r"^([^=,\s][^=,]*=(on|off)(, *[^=,\s][^=,]*=(on|off))*)?\Z"
+"""Names of obstacles, and how each one is switched."""
 
 Acceleration = Annotated[float, Meta(ge=-1e3, le=1e3)]
 """A component of gravity [m/s²]: up to a hundred times the earth's."""
@@ -313,18 +323,59 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="a few per cent of a step near one; auto makes it next to nothing elsewhere",
         ),
     ] = "auto"
+    each_obstacle: Annotated[
+        str,
+        text(
+            "Contact",
+            "Single obstacles that are felt otherwise than `obstacles` says, by their names, or by their "
+            "numbers from 0 where they have none.",
+            pattern=SWITCHES,
+            example="ball=off, 2=on",
+            label="single obstacles",
+            cost="what is off costs nothing",
+        ),
+    ] = ""
     self_collision: Annotated[
         Literal["auto", "on", "off"],
         choice(
             "Contact",
-            "Whether cloth feels cloth: all its vertices, edges and triangles, of one piece or several.",
+            "Whether a piece of cloth feels itself: all its vertices, edges and triangles.",
             choices=lambda: {
                 "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
                 "on": "all pairs are found anew and looked at every time",
-                "off": "cloth goes through cloth",
+                "off": "a piece goes through itself",
             },
             label="self-collision",
             cost="from a tenth to half of the step",
+        ),
+    ] = "auto"
+    cloth_collision: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            "Contact",
+            "Whether pieces of cloth feel each other.",
+            choices=lambda: {
+                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
+                "on": "all pairs are found anew and looked at every time",
+                "off": "pieces go through each other",
+            },
+            label="cloth–cloth collision",
+            cost="as self-collision, for what is near",
+        ),
+    ] = "auto"
+    edge_edge: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            "Contact",
+            "Whether edges of cloth feel edges, of cloth and of mesh obstacles, and not vertices and "
+            "triangles alone.",
+            choices=lambda: {
+                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
+                "on": "all pairs are found anew and looked at every time",
+                "off": "edges go through edges",
+            },
+            label="edge–edge tests",
+            cost="about half of what collisions of cloth cost",
         ),
     ] = "auto"
     tangled: Annotated[
@@ -447,6 +498,20 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             cost="each digit costs more solver iterations",
         ),
     ] = 1e-4
+    sleep: Annotated[
+        Literal["off", "auto"],
+        choice(
+            "Solver",
+            "Whether cloth that has come to rest is left out of steps until something could move it.",
+            choices=lambda: {
+                "off": "every step is taken",
+                "auto": "none while all cloth is still: slower than 1e-5 of its size per second for half a "
+                "second, with nothing that drives it",
+            },
+            label="sleep",
+            cost="a step at rest costs next to nothing",
+        ),
+    ] = "off"
     threads: Annotated[
         int,
         number(
@@ -486,7 +551,7 @@ class Field:
     """What the page, the command line and the docs need to know about one setting."""
 
     name: str
-    type: str  # "number", "integer", "vector" or "choice"
+    type: str  # "number", "integer", "vector", "choice" or "text"
     default: Any
     unit: str
     group: str
@@ -500,12 +565,16 @@ class Field:
     slider: tuple[float, float] | None = None
     ramps: bool = False
     choices: Callable[[], dict[str, str]] | None = None
+    pattern: str | None = None
+    example: str = ""
 
     @property
     def allowed(self) -> str:
         """The allowed values in words, as error messages and tooltips print them."""
         if self.choices is not None:
             return "one of " + ", ".join(f'"{name}"' for name in self.choices())
+        if self.type == "text":
+            return f'text such as "{self.example}"'
         if self.type == "vector":
             return f"three numbers from {self.minimum:g} to {self.maximum:g}"
         bounds = [f"≥ {self.minimum:g}" if self.minimum is not None else ""]
@@ -517,7 +586,8 @@ class Field:
         """Raise ValueError where types and bounds alone let a wrong value pass."""
         numbers = value if isinstance(value, tuple) else (value,)
         finite = all(math.isfinite(v) for v in numbers if isinstance(v, float))
-        if not finite or (self.choices is not None and value not in self.choices()):
+        wrong = self.pattern is not None and not re.search(self.pattern, str(value))
+        if not finite or wrong or (self.choices is not None and value not in self.choices()):
             raise ValueError(self.refusal(value))
 
     def refusal(self, value: Any) -> str:
@@ -541,7 +611,7 @@ def _field(name: str, annotation: Any, default: Any) -> Field:
     if typing.get_origin(base) is Literal and choices is None:
         closed = dict.fromkeys(typing.get_args(base), "")
         choices = lambda: closed  # noqa: E731
-    kind = "choice" if choices else {float: "number", int: "integer"}.get(base, "vector")
+    kind = "choice" if choices else {float: "number", int: "integer", str: "text"}.get(base, "vector")
     bounds = typing.get_args(typing.get_args(base)[0])[1] if kind == "vector" else meta
     extra["label"] = extra["label"] or name.replace("_", " ")
     return Field(
@@ -552,6 +622,7 @@ def _field(name: str, annotation: Any, default: Any) -> Field:
         minimum=bounds.ge,
         maximum=bounds.le,
         choices=choices,
+        pattern=meta.pattern,
         **extra,
     )
 
@@ -593,7 +664,7 @@ def _plain(value: Any) -> Any:
 
 def parse(name: str, text: str) -> Any:
     """The value that `text`, as typed on a command line in `name=text`, means for setting `name`."""
-    if name not in FIELDS or FIELDS[name].type == "choice":
+    if name not in FIELDS or FIELDS[name].type in ("choice", "text"):
         return convert(name, text)
     several = FIELDS[name].type == "vector"
     try:

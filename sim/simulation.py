@@ -18,7 +18,7 @@ from sim.contact.broad import CandidateError
 from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
-from sim.effects import EFFECTS, Told, chosen, state
+from sim.effects import Told, check_obstacles, chosen, effects_with, state
 from sim.integrators import INTEGRATORS, State
 from sim.ledger import Books, Ledger, Tally
 from sim.mesh import build_mesh
@@ -28,6 +28,7 @@ from sim.report import StepError, StepReport
 from sim.safe import suspect
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
+from sim.sleep import AFTER, driven, still
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
 from sim.tangles import clear_start, surfaces_of
@@ -53,6 +54,7 @@ class Snapshot:
     memory: dict[str, np.ndarray]
     injected: float
     books: Books | None = None
+    still: float = 0.0
 
 
 class Simulation:
@@ -78,7 +80,8 @@ class Simulation:
         **overrides: Any,
     ) -> None:
         self.scene = load_scene(scene)
-        self._ramp = Ramp.done(chosen(change(self.scene.settings, **overrides), effects or {}))
+        settings, known = change(self.scene.settings, **overrides), effects_with(self.scene.obstacle_labels)
+        self._ramp = Ramp.done(self._checked(chosen(settings, effects or {}, known)))
         self.mesh = build_mesh(self.scene)
         self.model = Model(self.mesh, self.settings)
         self.contact = Pipeline(self.scene, self.model)
@@ -91,6 +94,9 @@ class Simulation:
         self._books: Books | None = None
         self._edges: Limit | None = None
         self._told = Told()
+        self._still = 0.0
+        self._last = StepReport()
+        self._size = float(np.ptp(self.mesh.rest_vertices, axis=0).max())
         self.model.forget(self._positions)
 
     def _start(self) -> tuple[np.ndarray, str]:
@@ -112,7 +118,7 @@ class Simulation:
     @property
     def effects(self) -> dict[str, str]:
         """Whether each effect is "on", "off" or "auto"."""
-        return {name: state(name, self.settings) for name in EFFECTS}
+        return {name: state(name, self.settings) for name in effects_with(self.scene.obstacle_labels)}
 
     @property
     def time(self) -> float:
@@ -203,7 +209,7 @@ class Simulation:
         Raises:
             ValueError: names field, value and bounds.
         """
-        settings = change(self.settings, **changes)
+        settings = self._checked(change(self.settings, **changes))
         self._go_over(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings))
         self._previous = self._limit = None
 
@@ -213,11 +219,22 @@ class Simulation:
         Raises:
             ValueError: names field, value and bounds.
         """
-        self._go_over(Ramp.done(change(self.settings, **changes)))
+        self._go_over(Ramp.done(self._checked(change(self.settings, **changes))))
         self._previous = self._limit = None
+
+    def _checked(self, settings: Settings) -> Settings:
+        """These settings, which switch no obstacles but those of the scene; else ValueError."""
+        check_obstacles(settings, self.scene.obstacle_labels)
+        return settings
+
+    @property
+    def asleep(self) -> bool:
+        """Whether all cloth sleeps: steps are left out until something could move it."""
+        return self.settings.sleep == "auto" and self._still >= AFTER
 
     def _go_over(self, ramp: Ramp) -> None:
         """Put the settings of `ramp` in force, and book the energy that this puts in."""
+        self._still = 0.0
         before = sum(self.energy().values())
         self.model.apply(ramp.settings, self._positions)
         self._ramp = ramp
@@ -248,6 +265,7 @@ class Simulation:
 
     def stop(self) -> None:
         """Take all velocity off the cloth, and book it as a change of settings."""
+        self._still = 0.0
         self._injected -= self.energy()["kinetic"]
         self._velocities = np.zeros_like(self._velocities)
         self._previous = None
@@ -265,6 +283,7 @@ class Simulation:
             memory=self.model.memory(),
             injected=self._injected,
             books=self._books,
+            still=self._still,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -272,7 +291,7 @@ class Simulation:
         self.model.apply(snapshot.ramp.settings, snapshot.positions)
         self._ramp, self._time, self._injected = snapshot.ramp, snapshot.time, snapshot.injected
         self._positions, self._velocities = snapshot.positions.copy(), snapshot.velocities.copy()
-        self._previous, self._limit = snapshot.previous, None
+        self._previous, self._limit, self._still = snapshot.previous, None, snapshot.still
         self.contact.touched = snapshot.touched
         self.model.restore_memory(snapshot.memory, self._positions)
         if self._books is not None:
@@ -285,6 +304,10 @@ class Simulation:
         Raises:
             StepError: where the step cannot be done; the state is as it was.
         """
+        if self.asleep:
+            if not driven(self.settings, self.contact.obstacles, self._time, self._positions):
+                return self._sleep()
+            self._still = 0.0
         report, ramp, injected = StepReport(), self._ramp, self._injected
         self.model.costs = report.costs
         try:
@@ -297,6 +320,7 @@ class Simulation:
                 self._go_over(ramp)
                 self._injected = injected
             raise
+        before = self._velocities, self._time
         report.energy_injected, self._injected = self._injected, 0.0
         report.moved = self._longest_way(solution.positions)
         if self.model.wind is not None:
@@ -304,9 +328,38 @@ class Simulation:
         self._accept(solution, touch, report)
         with report.phase("report"):
             if self.scene.obstacle and self.settings.obstacles != "off":
-                depths = self.contact.depths(self._time, self._positions)
+                depths = self.contact.depths(self._time, self._positions, self.settings)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             report.effects = self._effects(report)
+            if self.settings.sleep == "auto":
+                self._rest(*before, report)
+        self._last = report
+        return report
+
+    def _rest(self, before: np.ndarray, time: float, report: StepReport) -> None:
+        """Count for how long cloth is still, from its velocities `before` a step; it may fall asleep."""
+        h = self.settings.dt
+        calm = self._ramp.over and still(before, self._velocities, h, self._size)
+        if not calm or driven(self.settings, self.contact.obstacles, time, self._positions):
+            self._still = 0.0
+            return
+        self._still += h
+        if self.asleep:
+            report.discarded = self.energy()["kinetic"]
+            self._velocities, self._previous = np.zeros_like(self._velocities), None
+            self.contact.touched = self.contact.touched.still()
+            if self._books is not None:
+                self._books = self._books.asleep(report.discarded)
+
+    def _sleep(self) -> StepReport:
+        """Let time pass."""
+        report = replace(self._last, ms=dict.fromkeys(self._last.ms, 0.0), costs={}, asleep=True)
+        report.iterations = report.newton = report.energy_jumps = 0
+        report.moved = report.discarded = report.wind_work = 0.0
+        report.energy_injected = report.energy_jump = 0.0
+        with report.phase("report"):
+            self._time += self.settings.dt
+            report.effects = self._told.asleep(self.settings, self.scene.obstacle_labels)
         return report
 
     def _advance(self, report: StepReport) -> tuple[Solution, Touch]:
@@ -363,14 +416,16 @@ class Simulation:
         """
         ways = np.linalg.norm(end - self._positions, axis=1)
         obstacles = self.contact.obstacles
-        if not obstacles.parts:
+        felt = obstacles.felt(self.settings)
+        if not felt.which.any():
             return float(ways.max())
         before, after = (obstacles.poses(t) for t in (self._time, self._time + self.settings.dt))
         turn = np.linalg.norm(after.rotation - before.rotation, 2, axis=(1, 2))
         reach = np.linalg.norm(obstacles.shapes.half, axis=1)
         rigid = np.linalg.norm(after.position - before.position, axis=1) + turn * reach
-        corners = np.linalg.norm(obstacles.corners(after) - obstacles.corners(before), axis=1)
-        return float(np.concatenate([ways, rigid, corners]).max())
+        corners = (obstacles.corners(poses, felt.solid) for poses in (before, after))
+        meshes = np.linalg.norm(np.subtract(*corners), axis=1)
+        return float(np.concatenate([ways, rigid[felt.which], meshes]).max())
 
     def _accept(self, solution: Solution, touch: Touch, report: StepReport) -> None:
         """Make the end of a step the present state."""
@@ -391,7 +446,7 @@ class Simulation:
             self._limit = None
         elif self._limit is None:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
-        about = self.settings, self.model, report, bool(self.scene.obstacle), self._limit
+        about = self.settings, self.model, report, self.scene.obstacle_labels, self._limit
         return self._told.tell(*about)
 
 

@@ -2,8 +2,9 @@
 
 Without contact this is a minimum of the potential energy, found by damped Newton steps (Levenberg 1944): the
 masses over h² hold them back at first; h grows while they do well, and the last ones are plain Newton steps
-with the exact Hessian. With obstacles it is where the motion itself ends: the cloth is stepped, and stopped
-whenever its kinetic energy has passed a peak (kinetic damping, Cundall 1976).
+with the exact Hessian. With obstacles, or in the wind, whose push has no energy, it is where the motion
+itself ends: the cloth is stepped, and stopped whenever its kinetic energy has passed a peak (kinetic damping,
+Cundall 1976).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from sim.contact.gap import NO_GAP_SPRINGS
+from sim.effects import feels_obstacles
 from sim.scene import Scene
 from sim.simulation import Simulation, Snapshot
 from sim.solve.direct import solve_directly
@@ -59,8 +61,8 @@ def equilibrium(scene: Scene | str | Path | dict[str, Any], **overrides: Any) ->
     """A simulation of `scene` at static rest, velocities zero and time zero.
 
     The forces that are left are below 1e-9 of the largest that acts on a vertex, or 1e-6 where springs do
-    not know their second derivative. On obstacles, which stay where they are at time zero, no vertex moves by
-    more than 1e-4 of the cloth's size within 60 steps.
+    not know their second derivative. On obstacles, which stay where they are at time zero, and in the wind,
+    which blows without gusts, no vertex moves by more than 1e-4 of the cloth's size within 60 steps.
 
     Args:
         scene: As for Simulation.
@@ -68,14 +70,17 @@ def equilibrium(scene: Scene | str | Path | dict[str, Any], **overrides: Any) ->
 
     Raises:
         SceneError, ValueError: As Simulation; ValueError also for cloth that nothing holds up.
-        EquilibriumError: where the cloth does not come to rest.
+        EquilibriumError: where the cloth does not come to rest, as a flag that flutters.
     """
     world = Simulation(scene, **overrides)
-    if world.scene.obstacle and world.settings.contact != "none":
+    s = world.settings
+    on_obstacles = s.contact != "none" and feels_obstacles(s, world.scene.obstacle_labels)
+    blown = world.model.wind is not None and any(s.wind)
+    if not on_obstacles and (blown or any(s.gravity)):
+        _check_held(world)
+    if on_obstacles or blown:
         at_rest = _relax(world)
     else:
-        if any(world.settings.gravity):
-            _check_held(world)
         with processor_threads(world.settings.threads):
             at_rest = _minimise(world)
     world.restore(at_rest)
@@ -167,9 +172,10 @@ def _residual(world: Simulation, x: np.ndarray) -> float:
 
 
 def _relax(world: Simulation) -> Snapshot:
-    """Obstacles stay where they are at time zero."""
+    """Obstacles stay where they are at time zero, and there are no gusts."""
     first = [msgspec.structs.replace(o, path=o.path[:1]) for o in world.scene.obstacle]
-    moving = Simulation(msgspec.structs.replace(world.scene, obstacle=first, settings=world.settings))
+    steady = msgspec.structs.replace(world.settings, gust=0.0)
+    moving = Simulation(msgspec.structs.replace(world.scene, obstacle=first, settings=steady))
     size = float(np.ptp(moving.positions, axis=0).max()) or 1.0
     kinetic, moved, before = 0.0, np.inf, moving.positions.copy()
     for k in range(MOST_CONTACT_STEPS):
@@ -182,7 +188,7 @@ def _relax(world: Simulation) -> Snapshot:
         if k % WATCHED == WATCHED - 1:
             moved = float(np.linalg.norm(moving.positions - before, axis=1).max()) / size
             if moved <= STILL:
-                return _at_rest(moving, moving.positions.copy())
+                return replace(_at_rest(moving, moving.positions.copy()), ramp=world.snapshot().ramp)
             before = moving.positions.copy()
     raise EquilibriumError(
         f"no equilibrium within {MOST_CONTACT_STEPS} steps: it still moves by {moved:.2g} of its size in "

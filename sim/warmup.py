@@ -23,6 +23,7 @@ from numba.core.dispatcher import Dispatcher
 
 from sim.compiled import KERNELS
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
+from sim.effects import feels_cloth, feels_obstacles
 from sim.report import StepReport
 from sim.scene import Scene, ShellArrays, ShellFile
 from sim.settings import Settings
@@ -47,13 +48,18 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     over = {**cloth, "position": [0.0, 0.0, 1e-3], "pins": []}  # so near that the two are felt
     ball = {"kind": "sphere", "center": [0.1, 0.1, -0.05], "radius": 0.05}
     s = scene.settings
+    meshes = any(isinstance(part, ShellFile | ShellArrays) for part in scene.obstacle)
+    felt = feels_obstacles(s, scene.obstacle_labels)
+    touches = s.contact != "none" and (feels_cloth(s, len(scene.cloth) > 1) or (felt and meshes))
     settings = {
         "bend": s.bend,
         "adhoc_rule": s.adhoc_rule,
         "altitudes": s.altitudes,
         "contact": "none" if s.contact == "none" else "impulse",
-        "obstacles": s.obstacles,
-        "self_collision": s.self_collision,
+        "obstacles": "auto" if felt else "off",
+        "self_collision": "auto" if touches else "off",
+        "cloth_collision": "auto" if touches else "off",
+        "edge_edge": s.edge_edge,
         "drag": s.drag,
         "strain_limit": s.strain_limit,
         "solver": "cg",
@@ -62,15 +68,12 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         if getattr(s, value) > 0.0:
             importlib.import_module(effect)  # so that its kernels are counted
     settings |= {"newton": min(s.newton, 2), "tolerance": 1e-12}  # so that a line search is needed, too
-    meshes = any(isinstance(part, ShellFile | ShellArrays) for part in scene.obstacle)
     under = {"vertices": [[0, 0, -1e-3], [0.1, 0, -1e-3], [0, 0.1, -1e-3]], "triangles": [[0, 1, 2]]}
     obstacles = [ball] * bool(scene.obstacle) + [under] * meshes
     small = {"cloth": [cloth, over], "obstacle": obstacles, "settings": settings}
     kinds = kinds_in_force(s).values()
     rules = {kernel_of(kind, s) for kind in kinds}
     exact = s.newton > FILTERED
-    felt = bool(scene.obstacle) and s.obstacles != "off"
-    touches = s.contact != "none" and (s.self_collision != "off" or meshes)
 
     def needed(kernel: Dispatcher) -> bool:
         module, name = kernel.py_func.__module__, kernel.py_func.__name__

@@ -19,8 +19,8 @@ SECONDS = {"bullet": 1.2, "clap": 2.0, "clap2d": 2.0, "ring": 2.8, "fold": 3.2, 
 
 KEPT = [
     ("bullet", {"detection": "continuous"}),
-    ("catch", {"self_collision": "auto"}),
-    ("catch2d", {"self_collision": "auto"}),
+    ("catch", {"cloth_collision": "auto"}),
+    ("catch2d", {"cloth_collision": "auto"}),
     ("clap", {"self_collision": "auto"}),
     ("clap2d", {"self_collision": "auto"}),
     ("drape2d", {"contact": "impulse"}),
@@ -171,7 +171,7 @@ def test_halves_are_through_each_other_before_static_detection_sees_them():
 
 @pytest.mark.parametrize(("scene", "pairs"), [("catch", [(0, 1)]), ("catch2d", [(0, 1), (2, 3)])])
 def test_what_falls_is_caught_if_it_is_felt_and_else_lies_on_the_floor(scene, pairs):
-    caught, fallen = (film(scene, self_collision=how) for how in ("auto", "off"))
+    caught, fallen = (film(scene, cloth_collision=how) for how in ("auto", "off"))
     floor = fallen.world.settings.thickness
     for net, falling in pairs:
         assert fallen.piece(falling)[-1, :, 2].max() < floor + 0.01
@@ -180,7 +180,7 @@ def test_what_falls_is_caught_if_it_is_felt_and_else_lies_on_the_floor(scene, pa
 
 
 def test_the_net_hangs_deeper_by_what_it_caught():
-    low = [film("catch", self_collision=how).piece(0)[-1, :, 2].min() for how in ("auto", "off")]
+    low = [film("catch", cloth_collision=how).piece(0)[-1, :, 2].min() for how in ("auto", "off")]
     assert low[0] < low[1] - 5e-3
 
 

@@ -101,7 +101,7 @@ def sweep(part, start, end, thickness=0.01, continuous=True, h=0.02):
     obstacles = obstacles_of(part)
     start, end = np.array([start], float), np.array([end], float)
     return detect(
-        obstacles,
+        obstacles.shapes,
         obstacles.poses(0.0),
         obstacles.poses(h),
         start,

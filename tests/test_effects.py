@@ -102,6 +102,8 @@ WRONG = [
     ({"wind": "maybe"}, 'effects.wind: expected one of "auto", "on", "off", got \'maybe\''),
     ({"wind": "on"}, 'effects.wind: expected "auto" or "off" while settings.drag is 0.0, got "on"'),
     ({"wind": 1}, "effects.wind: expected one of"),
+    ({"obstacle 1": "off"}, "effects.obstacle 1: no such effect; the effects are gravity, "),
+    ({"obstacle ball": "no"}, "effects.obstacle ball: expected one of"),
     (["wind"], "effects: expected a table of effects"),
 ]
 
@@ -109,7 +111,7 @@ WRONG = [
 @pytest.mark.parametrize(("effects", "words"), WRONG)
 def test_a_scene_with_a_wrong_effect_is_refused_in_one_line(effects, words):
     with pytest.raises(sim.SceneError, match=words.replace("[", r"\[")) as error:
-        sim.load_scene({**scene(grid()), "effects": effects})
+        sim.load_scene({**scene(grid(), ball(name="ball")), "effects": effects})
     assert "\n" not in str(error.value)
 
 
@@ -129,6 +131,132 @@ def test_a_scene_forces_effects_and_a_caller_forces_others():
         sim.Simulation(made, effects={"warmth": "off"})
 
 
+TWO = ball((-0.5, 0, 0), 0.3), ball((0.5, 0, 0), 0.3, name="right")
+"""Two obstacles, of which one has a name."""
+
+SINGLE = [
+    ("nobody=off", "each_obstacle: expected one of 0, right, got 'nobody'"),
+    ("1=off", "each_obstacle: expected one of 0, right, got '1'"),
+    ("right", "each_obstacle: expected text such as"),
+    ("right=maybe", "each_obstacle: expected text such as"),
+    ("right=off,", "each_obstacle: expected text such as"),
+]
+
+
+@pytest.mark.parametrize(("switches", "words"), SINGLE)
+def test_single_obstacles_that_are_none_are_refused_in_one_line_and_nothing_changes(switches, words):
+    with pytest.raises(sim.SceneError, match=words) as error:
+        sim.load_scene(scene(grid(), *TWO, each_obstacle=switches))
+    assert "\n" not in str(error.value)
+    world = sim.Simulation(scene(grid(), *TWO))
+    for change in (world.update, world.switch):
+        with pytest.raises(ValueError, match=words):
+            change(each_obstacle=switches)
+    assert world.settings.each_obstacle == ""
+
+
+def test_obstacles_are_called_by_names_that_nobody_can_mistake():
+    names = ["ball", "", "twice", "twice", "a=b", "7", "a, b", " x"]
+    made = scene(grid(), *(ball((0, 0, -9), 0.1, name=name) for name in names))
+    assert sim.load_scene(made).obstacle_labels == ["ball", *"1234567"]
+
+
+def test_each_obstacle_is_an_effect_of_its_own():
+    made = {**scene(grid(), *TWO), "effects": {"obstacle right": "off"}}
+    world = sim.Simulation(made, effects={"obstacle 0": "on"})
+    assert world.settings.each_obstacle == "right=off, 0=on"
+    assert (world.effects["obstacle 0"], world.effects["obstacle right"]) == ("on", "off")
+    for name, choice in (("obstacle right", "auto"), ("obstacle 0", "off"), ("obstacle 0", "auto")):
+        world.switch(**switch(name, choice, world.settings))
+        assert world.effects[name] == choice
+    assert world.settings.each_obstacle == ""
+
+
+STRIPS = [grid((0.2, 0.2), (5, 5), position=[x, 0.0, 0.32]) for x in (-0.5, 0.5)]
+SHELL = {"vertices": [[0.3, -0.3, 0.29], [0.8, -0.3, 0.29], [0.5, 0.5, 0.29]], "triangles": [[0, 1, 2]]}
+
+
+@pytest.mark.parametrize("right", [TWO[1], {**SHELL, "name": "right"}], ids=["a ball", "a mesh"])
+def test_one_obstacle_that_is_off_is_gone_through_and_the_other_holds(right):
+    world = sim.Simulation(scene(STRIPS, TWO[0], right, gravity=[0, 0, -9.81], each_obstacle="right=off"))
+    for _ in range(30):
+        report = world.step()
+    left = world.pieces == 0
+    assert world.positions[left, 2].max() > 0.27
+    assert world.positions[~left, 2].max() < 0.27
+    assert report.penetrations == 0
+    assert report.effects["obstacle right"] == "off: each_obstacle has right=off"
+    assert report.effects["obstacles"] == "ran: 1 of 2 within reach"
+
+
+def test_of_several_obstacles_only_those_within_reach_are_looked_at():
+    world = sim.Simulation(scene(STRIPS[:1], *TWO, gravity=[0, 0, -9.81]))
+    words = [world.step().effects for _ in range(10)][-1]
+    assert words["obstacle 0"] == "ran"
+    assert words["obstacle right"].startswith("skipped: out of reach for 10 steps")
+
+
+def falling(*, upper, **settings):
+    """Least height of what falls on a strip that hangs between pins: of another piece, or of its own end."""
+    strip = [[0.1 * k, y, 0.0] for k in range(6) for y in (0.0, 0.1)]
+    sides = [t for k in range(0, 10, 2) for t in ([k, k + 2, k + 1], [k + 1, k + 2, k + 3])]
+    loose = [[0.1 * k + 0.03, y + 0.02, 0.03] for k in range(1, 4) for y in (0.0, 0.07)]
+    tops = [t for k in range(0, 4, 2) for t in ([k, k + 2, k + 1], [k + 1, k + 2, k + 3])]
+    pins = [0, 1, 10, 11]
+    if upper == "another piece":
+        cloth = [
+            {"vertices": strip, "triangles": sides, "pins": pins},
+            {"vertices": loose, "triangles": tops},
+        ]
+    else:  # one piece in two parts
+        both = [*sides, *([i + len(strip) for i in t] for t in tops)]
+        cloth = [{"vertices": strip + loose, "triangles": both, "pins": pins}]
+    usual = {"gravity": [0, 0, -9.81], "stretch": 500.0} | dict.fromkeys(WHICH.values(), "auto")
+    world = sim.Simulation(scene(cloth, **{**usual, **settings}))
+    for _ in range(30):
+        report = world.step()
+    return world.positions[len(strip) :, 2].min(), report
+
+
+WHICH = {"itself": "self_collision", "another piece": "cloth_collision"}
+
+
+@pytest.mark.parametrize("upper", WHICH)
+def test_a_piece_feels_itself_and_other_pieces_each_by_its_own_switch(upper):
+    (other,) = set(WHICH.values()) - {WHICH[upper]}
+    held, report = falling(upper=upper, **{other: "off"})
+    assert held > -0.1
+    assert report.felt[WHICH[upper]] > 0
+    assert other not in report.felt | report.costs
+    fallen, report = falling(upper=upper, **{WHICH[upper]: "off"})
+    assert fallen < -0.5
+    assert not report.felt
+
+
+def test_one_piece_alone_has_no_other_to_feel():
+    words = sim.Simulation(scene(grid(), cloth_collision="auto")).step().effects["cloth_collision"]
+    assert words == "skipped: there is one piece"
+
+
+def test_edges_go_through_edges_where_edge_edge_tests_are_off():
+    """Crossing bare edges have no vertex near anything; vertices and triangles are felt as ever."""
+    crossing = [
+        chain([[-0.4, 0, 0], [0.4, 0, 0]], [0.1, 0.1]),
+        chain([[0, -0.4, 0.02], [0, 0.4, 0.02]], [0.1, 0.1], pins=[0, 1]),
+    ]
+    heights = []
+    for how in ("auto", "off"):
+        world = sim.Simulation(scene(crossing, self_collision="auto", edge_edge=how, gravity=[0, 0, 5]))
+        reports = [world.step() for _ in range(15)]
+        heights.append(world.positions[:2, 2].min())
+        assert ("edge_edge" in reports[-1].felt) == (how == "auto")
+        assert "edge_edge" not in reports[0].costs or how == "auto"
+    assert heights[0] < 0.02 < heights[1]
+    held, report = falling(upper="another piece", edge_edge="off")
+    assert held > -0.1
+    assert report.felt["cloth_collision"] > 0
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_what_is_left_out_says_so_and_costs_nothing(name):
     usual = {"altitudes": "all", "drag": 1.2, "strain_limit": 0.1, "gravity": [0, 0, -9.81]}
@@ -138,10 +266,90 @@ def test_what_is_left_out_says_so_and_costs_nothing(name):
     )
     report = world.step()
     assert report.effects[name].startswith("off: ")
-    if name != "stretch":  # whose springs stay, as other kinds' parts of the matrix rest on theirs
-        assert name not in report.costs
+    assert name not in report.costs
     with_it = sim.Simulation(scene(grid(position=[0, 0, 0.305]), ball(radius=0.3), **usual)).step()
     assert not with_it.effects[name].startswith("off")
+
+
+LOW = grid(position=[0, 0, 0.305])
+NEVER = {
+    "gravity": ({"gravity": [0, 0, -9.81]}, {}),
+    "stretch": ({"stretch": 50.0}, {"stretch": 0.0}),
+    "altitudes": ({"altitudes": "all", "altitude": 80.0}, {}),
+    "bending": ({"bend": "angle", "bending": 1e-3, "rest_angle": 0.1}, {"bend": "none"}),
+    "damping": ({"gamma": 0.5}, {"gamma": 0.0}),
+    "wind": ({"drag": 1.2, "lift": 0.5, "gust": 0.3, "wind": [3, 2, 0], "seed": 4}, {"seed": 4}),
+    "strain_limiting": ({"strain_limit": 0.01}, {}),
+    "obstacles": ({}, {}),
+    "self_collision": ({"self_collision": "on", "cloth_collision": "off"}, {}),
+    "cloth_collision": ({"cloth_collision": "on"}, {}),
+    "edge_edge": (
+        {"self_collision": "auto", "edge_edge": "on"},
+        {"self_collision": "auto", "edge_edge": "off"},
+    ),
+    "continuous_detection": ({"detection": "continuous"}, {"detection": "static"}),
+    "friction": ({"friction": 0.6}, {"friction": 0.0}),
+    "obstacle ball": ({}, {}),
+}
+"""Settings of a scene that has an effect, and of one that has never heard of it."""
+
+
+@pytest.mark.parametrize("name", NEVER)
+def test_a_step_without_an_effect_has_the_bits_of_a_scene_that_never_had_it(name):
+    """The effect has run before it is switched off, so that nothing of it may be left behind."""
+    assert set(EFFECTS) < set(NEVER)
+    has, never = NEVER[name]
+    without = name in ("obstacles", "obstacle ball")
+    there = [ball(radius=0.3, name="ball")]
+    parts = there if name == "obstacles" else [*there, {"kind": "plane", "point": [0, 0, -1]}]
+    left = [] if name == "obstacles" else parts[without:]
+    usual = {"gravity": [0, 0, -9.81], "jitter": 1e-3} if name != "gravity" else {"jitter": 1e-3}
+    having = sim.Simulation(scene(LOW, *parts, **{**usual, **has}))
+    plain = sim.Simulation(scene(LOW, *(left if without else parts), **{**usual, **never}))
+    start = having.positions.copy(), np.random.default_rng(0).normal(0.0, 0.3, having.positions.shape)
+    for _ in range(3):
+        assert having.effects[name] != "off"
+        having.step()
+    having.switch(**switch(name, "off", having.settings))
+    having.place(*start)
+    plain.place(*start)
+    for _ in range(5):
+        report = having.step()
+        plain.step()
+        assert report.effects[name].startswith("off")
+        np.testing.assert_array_equal(having.positions, plain.positions)
+        np.testing.assert_array_equal(having.velocities, plain.velocities)
+
+
+def test_springs_without_stiffness_have_the_bits_of_a_model_that_never_had_them(monkeypatch):
+    """And nobody calls a kernel of theirs; switched on, they are as if they had been there all along."""
+    usual = {"gravity": [0, 0, -9.81], "solver": "direct", "stretch": 0.0, "bend": "angle"}
+    idle = sim.Simulation(scene(LOW, ball(), **usual))
+    edges = next(springs for springs in idle.model.springs if springs.name == "edge")
+    monkeypatch.setattr(edges, "coordinate", None)  # which would be called
+    monkeypatch.delitem(sim.springs.STRETCH, "edge")
+    never = sim.Simulation(scene(LOW, ball(), **usual))
+    assert [springs.name for springs in never.model.springs] == ["angle"]
+    for _ in range(10):
+        words = idle.step().effects["stretch"]
+        never.step()
+        np.testing.assert_array_equal(idle.positions, never.positions)
+    assert words == "off: stretch is zero"
+    assert idle.energy()["edge"] == 0.0
+
+
+def test_springs_that_are_given_stiffness_while_running_start_from_where_the_cloth_is():
+    usual = {"gravity": [0, 0, -9.81], "altitudes": "all"}
+    woken = sim.Simulation(scene(LOW, ball(), altitude=0.0, **usual))
+    for _ in range(10):
+        woken.step()
+    fresh = sim.Simulation(scene(LOW, ball(), altitude=50.0, **usual))
+    fresh.place(woken.positions, woken.velocities)
+    woken.switch(altitude=50.0)
+    old, new = (next(s for s in w.model.springs if s.name == "altitude").elements for w in (woken, fresh))
+    for name in ("q", "gradient", "memory", "stiffness"):
+        np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
+    assert woken.energy()["altitude"] == fresh.energy()["altitude"] > 0.0
 
 
 def test_obstacles_that_are_off_are_gone_through():
@@ -157,7 +365,7 @@ def test_obstacles_that_are_off_are_gone_through():
 
 # That auto skips nothing that acts
 
-FORCED = {"obstacles": "on", "self_collision": "on"}
+FORCED = "obstacles", "self_collision", "cloth_collision", "edge_edge"
 
 
 class Pair:
@@ -171,7 +379,7 @@ class Pair:
         """Take a step with both; the forced one from the other's state, with no list of its own."""
         start = self.auto.snapshot()
         self.forced.restore(start)
-        forced = {name: "on" for name in FORCED if getattr(self.auto.settings, name) != "off"}
+        forced = {name: "on" for name in FORCED if self.auto.effects[name] != "off"}
         self.forced.update(**forced)
         report, all_of_it = self.auto.step(), self.forced.step()
         assert (report.contacts, report.hits, report.penetrations, report.substeps) == (
@@ -182,7 +390,9 @@ class Pair:
         )
         assert (self.auto.positions == self.forced.positions).all()
         assert (self.auto.velocities == self.forced.velocities).all()
-        self.skipped += sum(words.startswith("skipped") for words in report.effects.values())
+        skipped = {name for name, words in report.effects.items() if words.startswith("skipped")}
+        assert not skipped & all_of_it.felt.keys()
+        self.skipped += len(skipped)
 
 
 @pytest.mark.parametrize("name", [path.stem for path in scene_files()])
@@ -235,8 +445,8 @@ def test_a_bound_that_is_too_bold_would_be_noticed(monkeypatch):
     with pytest.raises(AssertionError):
         approach(4.0)
     monkeypatch.undo()
-    reach = sim.contact.pipeline.out_of_reach
-    monkeypatch.setattr(sim.contact.pipeline, "out_of_reach", lambda *a: reach(*a[:-1], -0.05))
+    reach = sim.contact.pipeline.within_reach
+    monkeypatch.setattr(sim.contact.pipeline, "within_reach", lambda *a: reach(*a[:-1], -0.05))
     with pytest.raises(AssertionError):
         approach(4.0, *BELOW["a ball"])
 
@@ -256,7 +466,8 @@ def adversary(seed):
     settings = {
         "contact": random.choice(["penalty", "impulse", "postprocess"]),
         "detection": random.choice(["static", "continuous"]),
-        "self_collision": random.choice(["auto", "off"], p=[0.8, 0.2]),
+        **{name: random.choice(["auto", "off"], p=[0.8, 0.2]) for name in FORCED[1:]},
+        "each_obstacle": ", ".join(f"{k}=off" for k in range(len(obstacles)) if random.random() < 0.2),
         "thickness": float(10 ** random.uniform(-4, -1.5)),
         "gravity": (random.uniform(-10, 10, 3) * random.integers(0, 2)).tolist(),
         "dt": float(10 ** random.uniform(-3.5, -1.3)),

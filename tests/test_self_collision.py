@@ -39,8 +39,8 @@ def test_impulses_leave_no_edge_across_a_triangle_at_any_step(made):
     assert met > 100  # it was put to the test
 
 
-def test_without_self_collision_the_same_sheets_pass_through_each_other():
-    world = sim.Simulation(stack(), self_collision="off")
+def test_without_cloth_collision_the_same_sheets_pass_through_each_other():
+    world = sim.Simulation(stack(), cloth_collision="off")
     assert max(crossings(world) for _ in range(60) if world.step()) > 0
 
 

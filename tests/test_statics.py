@@ -225,3 +225,20 @@ def test_obstacles_stay_at_their_first_key_until_the_cloth_rests():
     world = sim.equilibrium(draped)
     assert np.abs(world.positions[:, :2].mean(axis=0)).max() < 0.1  # it lies where the ball began
     assert world.obstacle_poses()[0][0] == pytest.approx([0.0, 0.0, 0.0])
+
+
+def test_a_curtain_comes_to_rest_in_the_mean_wind_without_its_gusts():
+    """What is left of the forces is that of cloth which goes 1e-4 of its size in a second: far less."""
+    hung = grid((0.6, 0.6), (7, 7), pins=["top"], rotation=[math.pi / 2, 0, 0])
+    blown = {"gravity": EARTH, "wind": [0.3, 2.0, 0.0], "drag": 1.2, "lift": 0.3}
+    steady, gusty = (sim.equilibrium(scene(hung, **blown, gust=gust)) for gust in (0.0, 0.5))
+    assert gusty.settings.gust == 0.5
+    np.testing.assert_array_equal(gusty.positions, steady.positions)
+    assert steady.positions[:, 1].max() > 0.3  # it leans
+    weight = steady.masses.max() * G
+    assert np.abs(steady.forces()[steady.model.free]).max() < 1e-3 * weight
+
+
+def test_cloth_that_only_the_wind_could_hold_is_refused():
+    with pytest.raises(ValueError, match=r"cloth\[0\]: expected pins, or an obstacle"):
+        sim.equilibrium(scene(grid(), wind=[0.0, 0.0, 1.0], drag=1.2))

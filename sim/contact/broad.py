@@ -40,6 +40,9 @@ ROUNDING = 1e-9
 MOVABLE, PARTNER = 1, 2
 """What a vertex may be; a pair of features needs some of both."""
 
+WITHIN, BETWEEN = 1, 2
+"""Whether a piece of cloth feels itself, and whether pieces feel each other."""
+
 
 class CandidateError(MemoryError):
     """More pairs within reach than a list may hold."""
@@ -87,10 +90,28 @@ class BroadPhase:
         tree: Over its elements.
         movable: (n,) bool, vertices that can move; a pair without any is none.
         partner: (n,) bool, vertices that others may touch; a pair without any is none.
+        piece: (n,) int, the piece of cloth that vertices are of, negative for those of obstacles.
+        own: WITHIN, BETWEEN or both, what of the cloth feels cloth.
     """
 
-    def __init__(self, surface: Surface, tree: Tree, movable: np.ndarray, partner: np.ndarray) -> None:
+    def __init__(
+        self,
+        surface: Surface,
+        tree: Tree,
+        movable: np.ndarray,
+        partner: np.ndarray,
+        piece: np.ndarray,
+        own: int = WITHIN | BETWEEN,
+    ) -> None:
+        if not own & WITHIN:  # neighbours are of one piece
+            nobody = np.zeros((0, 2), dtype=np.int32)
+            surface = surface._replace(near_vertices=nobody, near_edges=nobody)
         self.surface, self.tree = surface, tree
+        of_face = piece[surface.faces[:, 0]]
+        changes = np.append(0, np.cumsum(of_face[1:] != of_face[:-1]))
+        several = changes[tree.begin] != changes[tree.end - 1] if len(of_face) else np.zeros(0, dtype=bool)
+        of_node = np.where(several, -1, of_face[tree.begin]) if len(of_face) else np.zeros(0, dtype=np.int64)
+        self._own = own, of_face.astype(np.int32), of_node.astype(np.int32)
         self._role = (movable * MOVABLE + partner * PARTNER).astype(np.uint8)
         self._boxes = np.zeros((len(surface.faces), 6)), *np.zeros((2, len(tree.begin), 3))
         self._room = 64
@@ -123,7 +144,7 @@ class BroadPhase:
                 np.empty((CHUNKS, self._room)),
             )
             counts = np.zeros(CHUNKS, dtype=np.int64)
-            about = self.surface, tree, self._role, start, way, lengths, room
+            about = self.surface, tree, self._role, *self._own, start, way, lengths, room
             _find(*about, *self._boxes, pairs, distance, counts, self.most // LOPSIDED)
             most, total = int(counts.max()), int(counts.sum())
             if most <= self._room:
@@ -187,7 +208,25 @@ def fit(faces, begin, end, skip, start, way, room, boxes, low, high):
 
 
 @parallel_kernel
-def _find(surface, tree, role, start, way, lengths, room, boxes, low, high, pairs, distance, counts, most):
+def _find(
+    surface,
+    tree,
+    role,
+    own,
+    of_face,
+    of_node,
+    start,
+    way,
+    lengths,
+    room,
+    boxes,
+    low,
+    high,
+    pairs,
+    distance,
+    counts,
+    most,
+):
     """Find the pairs of elements that are no neighbours, then those among neighbours.
 
     Leaves are dealt like cards, as those early in the order have more to compare themselves with.
@@ -205,6 +244,9 @@ def _find(surface, tree, role, start, way, lengths, room, boxes, low, high, pair
             tree.skip,
             tree.leaf,
             role,
+            own,
+            of_face,
+            of_node,
             start,
             way,
             lengths,
@@ -247,6 +289,9 @@ def _query_leaves(
     skip,
     leaves,
     role,
+    own,
+    of_face,
+    of_node,
     start,
     way,
     lengths,
@@ -269,10 +314,15 @@ def _query_leaves(
             if end[node] <= begin[leaf] or not _overlap(low, high, leaf, node):
                 node = skip[node]
                 continue
+            if _strangers(own, of_node[leaf], of_node[node]):
+                node = skip[node]
+                continue
             if skip[node] == node + 1:
                 for f in range(begin[leaf], end[leaf]):
                     for g in range(max(begin[node], f + 1), end[node]):
                         if not _faces_overlap(boxes, f, g) or _neighbours(faces, crowded, f, g):
+                            continue
+                        if _strangers(own, of_face[f], of_face[g]):
                             continue
                         for side in range(2):
                             a, b = (f, g) if side == 0 else (g, f)
@@ -309,6 +359,14 @@ def _near_pairs(
         if not _edges_apart(edges, start, lengths, room, one, other):
             count = _keep(EDGE_EDGE, one, other, *about, count)
     return count
+
+
+@inner
+def _strangers(own, a, b):
+    """Whether pieces a and b do not feel each other; what is negative is more than one piece, or none."""
+    if a < 0 or b < 0:
+        return False
+    return not own & (WITHIN if a == b else BETWEEN)
 
 
 @inner

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.compiled import Vec3, add, dot, inner, kernel, put, row, scale, sub
 from sim.contact.contacts import Contacts, make_contacts
-from sim.contact.obstacles import MESH, Obstacles, Poses, shape_of, signed_distance
+from sim.contact.obstacles import MESH, Poses, Shapes, shape_of, signed_distance
 
 NEAR = 1e-3
 """A vertex this part of the thickness short of contact counts as touching."""
@@ -28,7 +28,7 @@ SAME_SIDE = 0.5
 
 
 def detect(
-    obstacles: Obstacles,
+    shapes: Shapes,
     before: Poses,
     after: Poses,
     start: np.ndarray,
@@ -42,8 +42,8 @@ def detect(
 
     Obstacles move from the poses `before` to those `after` in the time `h` [s]; fixed vertices touch nothing.
     """
-    room = make_contacts(len(start) * len(obstacles.parts))
-    count = _sweep(obstacles.shapes, before, after, start, end, free, h, thickness, continuous, room)
+    room = make_contacts(len(start) * len(shapes.kind))
+    count = _sweep(shapes, before, after, start, end, free, h, thickness, continuous, room)
     return room.only(slice(0, count))
 
 

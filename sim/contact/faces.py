@@ -21,7 +21,7 @@ from sim.contact.closest import edge_edge, vertex_triangle
 from sim.contact.contacts import NO_CONTACTS, Contacts, make_contacts
 from sim.contact.detect import SAME_SIDE, into_frame, turn
 from sim.contact.hold import go_at_most
-from sim.contact.obstacles import ROUNDED, Obstacles, Poses, shape_of
+from sim.contact.obstacles import ROUNDED, Obstacles, Poses, Shapes, shape_of
 from sim.mesh import Mesh, bare_edges
 
 CUT = 0.5
@@ -67,26 +67,23 @@ class Faces:
     def __init__(self, mesh: Mesh, free: np.ndarray, obstacles: Obstacles, first_key: int) -> None:
         faces = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
         self._faces = np.ascontiguousarray(faces[free[faces].any(axis=1)], dtype=np.int32)
-        self._shapes, self._first_key, self._room = obstacles.shapes, first_key, 64
-        self._nothing = not (len(self._faces) and (obstacles.shapes.kind == ROUNDED).any())
+        self._first_key, self._room = first_key, 64
         self.last_key = first_key + len(self._faces) * len(obstacles.parts)
 
     def begin(
-        self, x: np.ndarray, before: Poses, after: Poses, h: float, thickness: float, clear: bool = False
+        self, x: np.ndarray, before: Poses, after: Poses, h: float, thickness: float, shapes: Shapes | None
     ) -> Contacts:
         """Begin a step of h [s] at `x` (n, 3) [m], and find what is nearer than a part of the thickness.
 
-        Nothing is looked for where it is known to be `clear`.
+        Only `shapes` are looked at; None stands for no shape.
         """
         self._step = x, before, after, h, thickness
-        if clear:
-            return NO_CONTACTS
-        return self._found(x, REACH * thickness, CUT * thickness, continuous=False)
+        return self._found(shapes, x, REACH * thickness, CUT * thickness, continuous=False)
 
-    def hits(self, end: np.ndarray) -> Contacts:
-        """Contacts of what meets an obstacle before the vertices are at `end` (n, 3) [m]."""
+    def hits(self, end: np.ndarray, shapes: Shapes | None) -> Contacts:
+        """Contacts of what meets one of `shapes` before the vertices are at `end` (n, 3) [m]."""
         gap = GAP * self._step[-1]
-        return self._found(end, gap, AFTER * gap, continuous=True)
+        return self._found(shapes, end, gap, AFTER * gap, continuous=True)
 
     def shorten(self, end: np.ndarray, hits: Contacts) -> np.ndarray:
         """Let the faces in `hits` go no farther to `end` than they can without meeting what rests.
@@ -98,13 +95,15 @@ class Faces:
         np.minimum.at(least, hits.node.ravel(), np.repeat(hits.start, 4))
         return go_at_most(self._step[0], end, np.flatnonzero(least < np.inf), NEARER * least[least < np.inf])
 
-    def _found(self, end: np.ndarray, gap: float, keep: float, continuous: bool) -> Contacts:
-        if self._nothing:
+    def _found(
+        self, shapes: Shapes | None, end: np.ndarray, gap: float, keep: float, continuous: bool
+    ) -> Contacts:
+        if shapes is None or not (len(self._faces) and (shapes.kind == ROUNDED).any()):
             return NO_CONTACTS
         start, before, after, h, _ = self._step
         while True:
             found = make_contacts(self._room)
-            way = self._shapes, before, after, self._faces, start, end, h
+            way = shapes, before, after, self._faces, start, end, h
             count = _sweep(*way, gap, keep, continuous, found)
             if count <= self._room:
                 break

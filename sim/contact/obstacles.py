@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from sim.compiled import Vec3, dot, inner, row
+from sim.effects import single_obstacles
 from sim.mesh import distinct_edges
 from sim.placement import pose
 from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
+from sim.settings import Settings
 from sim.shells import Shell
 
 ROUNDED, PLANE, MESH = range(3)
@@ -27,7 +30,8 @@ class Shapes(NamedTuple):
     """Shapes in their own frames.
 
     Attributes:
-        kind: (o,) ROUNDED, all within a radius of a box; PLANE, below z = 0; or MESH, not described here.
+        kind: (o,) ROUNDED, all within a radius of a box; PLANE, below z = 0; or MESH, not described here, and
+            passed over by whoever looks for shapes.
         half: (o, 3) half sides of the box [m], zero for a sphere; along z for a capsule.
         radius: (o,) [m], zero for a box.
     """
@@ -35,6 +39,10 @@ class Shapes(NamedTuple):
     kind: np.ndarray
     half: np.ndarray
     radius: np.ndarray
+
+    def only(self, which: np.ndarray) -> Shapes:
+        """The same with those (o,) bool to be met, and none of the others; numbers stay."""
+        return self._replace(kind=np.where(which, self.kind, MESH))
 
 
 class Shape(NamedTuple):
@@ -53,15 +61,41 @@ class Poses(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """The surfaces of mesh obstacles: vertices (k, 3) [m], triangles (m, 3) and edges (e, 2)."""
+    """The surfaces of mesh obstacles.
+
+    Attributes:
+        vertices: (k, 3) [m].
+        triangles: (m, 3).
+        edges: (e, 2).
+        part: (k,) which obstacle a vertex belongs to.
+    """
 
     vertices: np.ndarray
     triangles: np.ndarray
     edges: np.ndarray
+    part: np.ndarray
+
+    def only(self, which: np.ndarray) -> Solid:
+        """The surfaces of those obstacles (o,) bool alone."""
+        keep = which[self.part]
+        number = np.cumsum(keep) - 1
+        triangles, edges = (number[c[keep[c[:, 0]]]] for c in (self.triangles, self.edges))
+        return Solid(self.vertices[keep], triangles, edges, self.part[keep])
 
 
-NO_SOLID = Solid(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2), dtype=np.int64))
-"""No surface at all."""
+@dataclass(frozen=True)
+class Felt:
+    """Which obstacles cloth feels.
+
+    Attributes:
+        which: (o,) bool.
+        forced: (o,) bool, those of them that are looked at in every step.
+        solid: The surfaces of those that are meshes.
+    """
+
+    which: np.ndarray
+    forced: np.ndarray
+    solid: Solid
 
 
 class Obstacles:
@@ -73,24 +107,36 @@ class Obstacles:
 
     Attributes:
         parts: Of the scene.
+        labels: What each one is called.
         shapes: Of all of them.
         solid: The surfaces of those that are meshes, in their own frames.
     """
 
     def __init__(self, scene: Scene, shells: Sequence[Shell | None] = ()) -> None:
-        self.parts = scene.obstacle
+        self.parts, self.labels = scene.obstacle, scene.obstacle_labels
         kinds, halves, radii = zip(*map(_describe, self.parts), strict=True) if self.parts else ((), (), ())
         self.shapes = Shapes(
             np.array(kinds, dtype=np.int64), np.array(halves, dtype=float).reshape(-1, 3), np.array(radii)
         )
-        self.solid, self._part = _joined(shells)
+        self.solid = _joined(shells)
+        self._felt: tuple[tuple[str, str], Felt] | None = None
+
+    def felt(self, settings: Settings) -> Felt:
+        """Which of them cloth feels with these settings; the same object while they are the same."""
+        switches = settings.obstacles, settings.each_obstacle
+        if self._felt is None or self._felt[0] != switches:
+            single = single_obstacles(settings.each_obstacle)
+            each = [single.get(label, settings.obstacles) for label in self.labels]
+            which = np.array([how != "off" and settings.obstacles != "off" for how in each], dtype=bool)
+            forced = which & np.array([how == "on" for how in each], dtype=bool)
+            self._felt = switches, Felt(which, forced, self.solid.only(which))
+        return self._felt[1]
 
     def corners(self, poses: Poses, solid: Solid | None = None) -> np.ndarray:
         """(k, 3) where the vertices of mesh obstacles, all or those of `solid`, are in these poses [m]."""
-        if solid is NO_SOLID:
-            return NO_SOLID.vertices
-        turned = np.einsum("ijk,ik->ij", poses.rotation[self._part], self.solid.vertices)
-        return poses.position[self._part] + turned
+        solid = self.solid if solid is None else solid
+        turned = np.einsum("ijk,ik->ij", poses.rotation[solid.part], solid.vertices)
+        return poses.position[solid.part] + turned
 
     def poses(self, time: float) -> Poses:
         """Where every obstacle is at `time` [s]."""
@@ -111,8 +157,8 @@ def _describe(part: Obstacle) -> tuple[int, tuple[float, float, float], float]:
     return PLANE if isinstance(part, Plane) else MESH, (0.0, 0.0, 0.0), 0.0
 
 
-def _joined(shells: Sequence[Shell | None]) -> tuple[Solid, np.ndarray]:
-    """All shells as one surface, and (k,) which obstacle each of its vertices belongs to."""
+def _joined(shells: Sequence[Shell | None]) -> Solid:
+    """All shells as one surface."""
     vertices, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
     part = [np.zeros(0, dtype=np.int64)]
     first = 0
@@ -124,7 +170,7 @@ def _joined(shells: Sequence[Shell | None]) -> tuple[Solid, np.ndarray]:
             first += len(shell.vertices)
     corners = np.concatenate(triangles)
     edges = distinct_edges(corners, np.zeros((0, 2), dtype=np.int64), first).astype(np.int64)
-    return Solid(np.concatenate(vertices), corners, edges), np.concatenate(part)
+    return Solid(np.concatenate(vertices), corners, edges, np.concatenate(part))
 
 
 @inner

@@ -7,9 +7,11 @@ speed.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from sim.contact.broad import BroadPhase, CandidateError, Candidates, strayed
+from sim.contact.broad import BETWEEN, WITHIN, BroadPhase, CandidateError, Candidates, strayed
 from sim.contact.contacts import NO_CONTACTS, Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
@@ -46,6 +48,24 @@ NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
 
+PARTS = 2
+"""Kinds of partners: of the same piece, of another piece; those after them are the obstacles, one by one."""
+
+
+class Feels(NamedTuple):
+    """What cloth feels of cloth.
+
+    Attributes:
+        within: Whether a piece feels itself.
+        between: Whether pieces feel each other.
+        edges: Whether edges feel edges, those of mesh obstacles, too.
+    """
+
+    within: bool
+    between: bool
+    edges: bool = True
+
+
 class Pairs:
     """Pairs of features that may touch, kept up to date.
 
@@ -57,7 +77,7 @@ class Pairs:
         mesh: The cloth, n vertices.
         free: (n,) bool, which of its vertices can move.
         solid: Mesh obstacles, k vertices, where they are at first.
-        own: Whether cloth feels cloth, and not mesh obstacles alone.
+        feels: What cloth feels of cloth, beside mesh obstacles.
         first_key: Keys of contacts start here.
 
     Attributes:
@@ -66,20 +86,33 @@ class Pairs:
         looks: How often the pairs were looked at: where they are, or whether they meet.
         sweeps: How often it was looked whether they meet.
         asked: Times a pair was asked whether it meets; for whoever takes a whole step to set to zero.
+        reached: (parts, 2) bool, with what partners, and of which kind, bounds could not show that all pairs
+            are out of reach; for whoever takes a whole step to set to False.
+        felt: (parts, 2) how many pairs were found to be near or to meet, added up; for whoever takes a whole
+            step to set to zero.
+        counts: (parts, 2) how many pairs are on the list.
     """
 
-    def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, own: bool, first_key: int) -> None:
+    def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, feels: Feels, first_key: int) -> None:
         n = len(free)
-        self._mesh, self._n, self._first_key, self.own, self.solid = mesh, n, first_key, own, solid
+        self._mesh, self._n, self._first_key, self.feels, self.solid = mesh, n, first_key, feels, solid
         self.exhaustive, self.lists, self.looks, self.sweeps = False, 0, 0, 0
         places = np.concatenate([mesh.vertices, solid.vertices])
         edges = np.concatenate([mesh.edges, solid.edges + n])
         self._surface, tree = build_surface(
             places, np.concatenate([mesh.triangles, solid.triangles + n]), edges
         )
+        if not feels.edges:
+            self._surface = self._surface._replace(
+                own_edge=np.full_like(self._surface.own_edge, -1), near_edges=self._surface.near_edges[:0]
+            )
         outside = np.arange(len(places)) >= n
         movable = np.concatenate([free, np.zeros(len(solid.vertices), dtype=bool)])
-        self._broad = BroadPhase(self._surface, tree, movable, outside | own)
+        self._piece = np.concatenate([mesh.pieces, -1 - solid.part])
+        own = WITHIN * feels.within | BETWEEN * feels.between
+        self._broad = BroadPhase(self._surface, tree, movable, outside | (own > 0), self._piece, own)
+        self._parts = PARTS + int(solid.part.max(initial=-1)) + 1
+        self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
         ends = mesh.rest_vertices[mesh.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
         self.asked = 0
@@ -93,6 +126,8 @@ class Pairs:
     def forget(self) -> None:
         """Start with no list."""
         self._list: Candidates | None = None
+        self.counts = np.zeros((self._parts, 2), dtype=np.int64)
+        self._least = np.full((self._parts, 2), np.inf)
 
     def begin(
         self, x: np.ndarray, before: np.ndarray, after: np.ndarray, h: float, thickness: float
@@ -115,10 +150,12 @@ class Pairs:
         self._bound(known)
         if self._apart > self._reach and not self.exhaustive:
             return NO_CONTACTS
+        self._note(self._reach)
         pairs, weight = known, self._measure(known)
         distance = self._distance
         close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
         close = close[~self._as_at_rest(pairs, close)]
+        self._count(pairs, close)
         normal = np.einsum("ij,ijk->ik", weight[close], self._start[pairs.node[close]])
         normal /= distance[close, None]
         keep = np.full(len(close), self.thickness)
@@ -129,13 +166,16 @@ class Pairs:
         pairs = self._listed(end)
         p, gap = len(pairs.kind), GAP * self.thickness
         way = self._start, np.concatenate([end, self._after])
-        if self._apart - 2.0 * strayed(way[1], way[0]) > gap and not self.exhaustive:
+        far = 2.0 * strayed(way[1], way[0])
+        if self._apart - far > gap and not self.exhaustive:
             return NO_CONTACTS
+        self._note(gap + far)
         self._look(pairs)
         self.sweeps += 1
         time, normal, weight = np.empty(p), np.empty((p, 3)), np.empty((p, 4))
         meet(pairs.kind, pairs.node, self._distance, *way, gap, time, normal, weight)
         met = np.flatnonzero(time <= 1.0)
+        self._count(pairs, met)
         keep = np.minimum(AFTER * gap, self._distance[met])
         return self._contacts(pairs, met, weight[met], normal[met], keep)
 
@@ -145,6 +185,7 @@ class Pairs:
         Returns those of them that would have gone farther.
         """
         pairs = self._listed(end)
+        self._note(np.inf)
         self._look(pairs)
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
@@ -160,8 +201,20 @@ class Pairs:
 
     def _bound(self, known: Candidates) -> None:
         """Set a lower bound of the distances of all pairs at the start; they are not measured."""
-        self._apart = known.least * (1.0 - MARGIN) - 2.0 * strayed(self._start, known.start)
+        self._strayed = 2.0 * strayed(self._start, known.start)
+        self._apart = known.least * (1.0 - MARGIN) - self._strayed
         self._distance = np.zeros(0)
+
+    def _note(self, reach: float) -> None:
+        """Note the partners of whom some may be within `reach` [m] of the start.
+
+        The bounds of all the others' pairs are those by which `measure` and `meet` pass over each of them.
+        """
+        near = ~(self._least * (1.0 - MARGIN) - self._strayed > reach) | self.exhaustive
+        self.reached |= near & (self.counts > 0)
+
+    def _count(self, pairs: Candidates, which: np.ndarray) -> None:
+        np.add.at(self.felt, (self._part[which], pairs.kind[which]), 1)
 
     def _look(self, pairs: Candidates) -> None:
         """Measure the pairs, if there was no need before, as they are about to be asked whether they meet."""
@@ -179,7 +232,20 @@ class Pairs:
         skin = (QUIET_SKIN if quiet else SKIN) * self.edge
         self._list = self._broad.candidates(self._start, end, skin, self._reach)
         self.lists += 1
+        self._sort(self._list)
         return self._list
+
+    def _sort(self, pairs: Candidates) -> None:
+        """Say of each pair whom it is with, and of these how many there are, and how near at least."""
+        one, other = self._piece[pairs.node[:, 0]], self._piece[pairs.node[:, 3]]
+        least = np.minimum(one, other)
+        self._part = np.where(least < 0, PARTS - 1 - least, one != other)
+        cell = 2 * self._part + pairs.kind
+        self.counts = np.bincount(cell, minlength=2 * self._parts).reshape(-1, 2)
+        self._least = np.full(2 * self._parts, np.inf)
+        for c in np.flatnonzero(self.counts):
+            self._least[c] = pairs.distance[cell == c].min()
+        self._least = self._least.reshape(-1, 2)
 
     def _measure(self, pairs: Candidates) -> np.ndarray:
         """Set `_distance` of the pairs at the start; returns the weights of those that are near."""

@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from time import perf_counter
 
 import numpy as np
 from msgspec.structs import replace as replaced
@@ -22,11 +23,13 @@ from sim.contact.detect import deepest, detect
 from sim.contact.faces import Faces
 from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
-from sim.contact.obstacles import NO_SOLID, Obstacles, Poses
-from sim.contact.pairs import Pairs
+from sim.contact.impact import EDGE_EDGE
+from sim.contact.obstacles import MESH, Obstacles, Poses, Shapes
+from sim.contact.pairs import Feels, Pairs
 from sim.contact.pinch import fit
-from sim.contact.reach import box, out_of_reach
+from sim.contact.reach import box, within_reach
 from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, targets
+from sim.effects import COLLISIONS, OBSTACLE
 from sim.integrators import INTEGRATORS
 from sim.ledger import UNBOOKED, Part, Unbooked
 from sim.model import Model
@@ -121,26 +124,44 @@ class Pipeline:
         self.parts = []
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
+            pairs.reached[:], pairs.felt[:] = False, 0
         end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
         if pairs is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
+            report.felt = self._by_effect(pairs.felt)
+            report.looked = self._by_effect(np.where(pairs.reached, pairs.counts, 0))
         return end
 
-    def depths(self, time: float, positions: np.ndarray) -> np.ndarray:
-        """(n,) how far each vertex is inside an obstacle at `time` [m], zero outside."""
+    def _by_effect(self, pairs: np.ndarray) -> dict[str, int]:
+        """Numbers of pairs (parts, 2), as `Pairs` has them, by effect, where there are any."""
+        names = *COLLISIONS, *(OBSTACLE + label for label in self.obstacles.labels)
+        found = dict(zip(names, pairs.sum(axis=1).tolist(), strict=False))
+        found["edge_edge"] = int(pairs[:, EDGE_EDGE].sum())
+        return {name: count for name, count in found.items() if count}
+
+    def depths(self, time: float, positions: np.ndarray, settings: Settings | None = None) -> np.ndarray:
+        """(n,) how far each vertex is inside an obstacle at `time` [m], zero outside.
+
+        Where there are `settings`, only those obstacles count that are felt with them.
+        """
         depths, poses, around = np.zeros(len(positions)), self.obstacles.poses(time), box(positions)
-        if not out_of_reach(self.obstacles.shapes, poses, poses, around, around, 0.0):
-            deepest(self.obstacles.shapes, poses, positions, depths)
+        shapes = self.obstacles.shapes
+        near = within_reach(shapes, poses, poses, around, around, 0.0)
+        if settings is not None:
+            near &= self.obstacles.felt(settings).which
+        if near.any():
+            deepest(shapes.only(near), poses, positions, depths)
         return depths
 
-    def _clear(self, way: _Way, end: np.ndarray) -> bool:
-        """Whether no obstacle but meshes can act on the way to `end`; meshes are among the pairs."""
-        if way.settings.obstacles == "off" or not self.obstacles.parts:
-            return True
-        about = self.obstacles.shapes, way.before, way.after, way.start, box(end)
-        clear = way.settings.obstacles == "auto" and out_of_reach(*about, way.settings.thickness)
-        way.report.near_obstacles |= not clear
-        return clear
+    def _near(self, way: _Way, end: np.ndarray) -> Shapes | None:
+        """The obstacles but meshes that may act on the way to `end`, if any; meshes are among the pairs."""
+        felt, shapes = self.obstacles.felt(way.settings), self.obstacles.shapes
+        if not felt.which.any():
+            return None
+        about = way.before, way.after, way.start, box(end), way.settings.thickness
+        near = felt.which & (shapes.kind != MESH) & (felt.forced | within_reach(shapes, *about))
+        way.report.near_obstacles.update(self.obstacles.labels[o] for o in np.flatnonzero(near))
+        return shapes.only(near) if near.any() else None
 
     def _part(
         self, settings, response, pairs, time, x, v, touched, solve, report, halvings
@@ -238,14 +259,16 @@ class Pipeline:
 
     def _pairs_for(self, s: Settings) -> Pairs | None:
         """The pairs that may touch, where settings and scene ask for them."""
-        mesh, own = self._model.mesh, s.self_collision != "off" and len(self._model.mesh.edges) > 0
-        solid = NO_SOLID if s.obstacles == "off" else self.obstacles.solid
-        if s.contact == "none" or not (own or len(solid.vertices)):
+        mesh, felt = self._model.mesh, self.obstacles.felt(s)
+        there, between = len(mesh.edges) > 0, s.cloth_collision != "off" and mesh.several
+        feels = Feels(there and s.self_collision != "off", there and between, s.edge_edge != "off")
+        if s.contact == "none" or not (feels.within or feels.between or len(felt.solid.vertices)):
             return None
         pairs = self._pairs
-        if pairs is None or pairs.own != own or pairs.solid is not solid:
-            pairs = self._pairs = Pairs(mesh, self._model.free, solid, own, self._faces.last_key)
-        pairs.exhaustive = "on" in (s.self_collision, s.obstacles)
+        if pairs is None or pairs.feels != feels or pairs.solid is not felt.solid:
+            pairs = self._pairs = Pairs(mesh, self._model.free, felt.solid, feels, self._faces.last_key)
+        forced = "on" in (s.self_collision, s.cloth_collision, s.edge_edge, s.obstacles)
+        pairs.exhaustive = forced or bool(felt.forced.any())
         return pairs
 
     def _response(self, settings: Settings) -> Response | None:
@@ -263,16 +286,29 @@ class Pipeline:
         if s.contact == "none":
             return near
         if pairs is not None:
-            with report.spent("self_collision"):
-                before, after = (self.obstacles.corners(p, pairs.solid) for p in (way.before, way.after))
-                near = pairs.begin(way.x, before, after, s.dt, s.thickness)
+            begin = perf_counter()
+            before, after = (self.obstacles.corners(p, pairs.solid) for p in (way.before, way.after))
+            near = pairs.begin(way.x, before, after, s.dt, s.thickness)
+            self._share(report, pairs, 1e3 * (perf_counter() - begin))
         about = way.x, way.before, way.after, s.dt, s.thickness
-        if s.obstacles == "off" or not self.obstacles.parts:
-            self._faces.begin(*about, clear=True)
+        if not self.obstacles.felt(s).which.any():
+            self._faces.begin(*about, None)
             return near.confined(self._model.axis, way.x)
         with report.spent("obstacles"):
-            near = near.and_also(self._faces.begin(*about, self._clear(way, way.x)))
+            near = near.and_also(self._faces.begin(*about, self._near(way, way.x)))
         return near.confined(self._model.axis, way.x)
+
+    @staticmethod
+    def _share(report: StepReport, pairs: Pairs, ms: float) -> None:
+        """Book the time that was spent on pairs by whom they are with, and by their kind."""
+        faces, edges = pairs.counts[:, 0], int(pairs.counts[:, EDGE_EDGE].sum())
+        names = *COLLISIONS, "obstacles"
+        parts = [*faces[: len(COLLISIONS)].tolist(), int(faces[len(COLLISIONS) :].sum())]
+        if not sum(parts) + edges:  # who is looked for, where nobody is found
+            parts = [pairs.feels.within, pairs.feels.between, len(pairs.solid.vertices) > 0]
+        for name, part in ("edge_edge", edges), *zip(names, parts, strict=True):
+            if part:
+                report.costs[name] = report.costs.get(name, 0.0) + ms * part / (sum(parts) + edges)
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
         """Pairs, and faces and obstacles, that meet on the way to `end`."""
@@ -280,20 +316,20 @@ class Pipeline:
             return NO_CONTACTS
         with way.report.spent("continuous_detection"):
             hits = NO_CONTACTS if pairs is None else pairs.hits(end)
-            if not self._clear(way, end):
-                hits = hits.and_also(self._faces.hits(end))
+            hits = hits.and_also(self._faces.hits(end, self._near(way, end)))
         return hits.confined(self._model.axis, way.x)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
-        if response is None or not self.obstacles.parts or way.settings.obstacles == "off":
-            return NO_CONTACTS
         s = way.settings
+        if response is None or not self.obstacles.felt(s).which.any():
+            return NO_CONTACTS
         with way.report.spent("obstacles"):
-            if self._clear(way, end):
+            shapes = self._near(way, end)
+            if shapes is None:
                 return NO_CONTACTS
             path = way.x, end, self._model.free, s.dt
-            about = self.obstacles, way.before, way.after, *path, s.thickness, s.detection == "continuous"
+            about = shapes, way.before, way.after, *path, s.thickness, s.detection == "continuous"
             return detect(*about).confined(self._model.axis, way.x)
 
     @staticmethod

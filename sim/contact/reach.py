@@ -1,4 +1,4 @@
-"""Whether obstacles are out of reach of all cloth on its way: boxes tell, without a look at any vertex alone.
+"""Which obstacles are out of reach of all cloth on its way: boxes tell, without a look at any vertex alone.
 
 All that cloth fills on a straight way lies in the hull of where its vertices start and end, and that in the
 hull of two boxes. Seen from an obstacle that moves, these are boxes again, and their distance from the
@@ -37,13 +37,13 @@ def _extent(points):
     return low + wild, high + wild
 
 
-def out_of_reach(
+def within_reach(
     shapes: Shapes, before: Poses, after: Poses, start: np.ndarray, end: np.ndarray, reach: float
-) -> bool:
-    """Whether no shape comes within `reach` [m] of cloth that goes from one box to another.
+) -> np.ndarray:
+    """(o,) bool, which shapes may come within `reach` [m] of cloth that goes from one box to another.
 
     Args:
-        shapes: Those that are meshes do not count.
+        shapes: Those that are meshes never do.
         before: Where they are at the start.
         after: And at the end.
         start: (8, 3) corners of the box around the vertices at the start [m].
@@ -51,8 +51,9 @@ def out_of_reach(
         reach: [m].
     """
     corners = np.concatenate([_seen(start, before), _seen(end, after)], axis=1)
+    here = (shapes.kind == ROUNDED) | (shapes.kind == PLANE)
     if not np.isfinite(corners).all():
-        return False
+        return here
     low, high = corners.min(axis=1), corners.max(axis=1)
     aside = np.maximum(np.maximum(low - shapes.half, -shapes.half - high), 0.0)
     distance = np.where(shapes.kind == PLANE, low[:, 2], np.linalg.norm(aside, axis=1) - shapes.radius)
@@ -61,8 +62,7 @@ def out_of_reach(
         + np.abs(shapes.half).max(initial=0.0)
         + shapes.radius.max(initial=0.0)
     )
-    here = (shapes.kind == ROUNDED) | (shapes.kind == PLANE)
-    return bool((distance[here] > reach + MARGIN * size).all())
+    return here & ~(distance > reach + MARGIN * size)
 
 
 def _seen(corners: np.ndarray, poses: Poses) -> np.ndarray:

@@ -56,6 +56,11 @@ class Springs:
     value: float = 0.0
     measured: np.ndarray | None = None
 
+    @property
+    def acts(self) -> bool:
+        """Whether there is any stiffness: where there is none, nothing needs to be known of them."""
+        return self.value > 0.0
+
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate q and its gradient at `positions` (n, 3) [m], unless they are known there."""
         if self.measured is not None and np.array_equal(positions, self.measured):
@@ -86,6 +91,9 @@ class Springs:
 
     def apply(self, settings: Settings) -> None:
         """Set coordinate, stiffness and rest values for `settings`."""
+        if not getattr(settings, self.kind.stiffness) > 0.0:
+            for array in (self.elements.damping, self.elements.tension):
+                array[:] = 0.0  # what nobody sets any more
         coordinate = kernel_of(self.kind, settings)
         if coordinate is not self.coordinate:
             self.coordinate, self.measured = coordinate, None

@@ -13,8 +13,9 @@ def grid(size=(1.0, 1.0), resolution=(8, 8), **more) -> dict[str, Any]:
 
 
 def scene(cloth, *obstacles, **settings) -> dict[str, Any]:
-    """A scene of one cloth; without gravity, and not felt by itself, unless the settings say so."""
-    usual = {"gravity": [0, 0, 0], "self_collision": "off"}
+    """A scene without gravity; cloth is not felt by cloth, unless the settings say so of all of it."""
+    own = settings.get("self_collision", "off")
+    usual = {"gravity": [0, 0, 0], "self_collision": own, "cloth_collision": own}
     return {"cloth": cloth, "obstacle": list(obstacles), "settings": {**usual, **settings}}
 
 

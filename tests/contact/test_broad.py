@@ -114,7 +114,7 @@ class Case:
         self.movable = rng.random(n) >= fixed
         self.partner = ~self.movable if strangers else np.ones(n, dtype=bool)
         self.surface, tree = build_surface(self.start, self.triangles, self.edges)
-        self.phase = BroadPhase(self.surface, tree, self.movable, self.partner)
+        self.phase = BroadPhase(self.surface, tree, self.movable, self.partner, np.zeros(n, np.int64))
 
     def all_pairs(self):
         """(kind, (p, 4) vertices) of every pair without a common vertex that can move and touch."""

@@ -71,7 +71,7 @@ def test_the_nearest_points_are_the_nearest_of_all_pairs_of_features(name):
         if not outside(part, triangle, *pose(part, 0.0)):
             continue
         poses = obstacles.poses(0.0)
-        found = faces.begin(triangle, poses, poses, H, thickness=10.0 / REACH)
+        found = faces.begin(triangle, poses, poses, H, 10.0 / REACH, obstacles.shapes)
         seen += 1
         assert len(found.key) == 1
         assert found.start[0] == pytest.approx(distance(part, triangle, *pose(part, 0.0)), abs=1e-9)
@@ -101,8 +101,8 @@ def test_no_way_that_comes_nearer_than_the_gap_is_missed_and_none_that_stays_awa
         (p, r), (q, s) = pose(part, 0.0), pose(part, H)
         if not outside(part, start, p, r):
             continue
-        faces.begin(start, obstacles.poses(0.0), obstacles.poses(H), H, thickness)
-        found = len(faces.hits(end).key) > 0
+        faces.begin(start, obstacles.poses(0.0), obstacles.poses(H), H, thickness, obstacles.shapes)
+        found = len(faces.hits(end, obstacles.shapes).key) > 0
         a, b = (start - p) @ r, (end - q) @ s
         times = np.linspace(0, 1, 100)
         nearest = min(distance(part, a + t * (b - a), *NOWHERE) for t in times)

@@ -7,7 +7,7 @@ import pytest
 import sim
 from sim.contact.impact import EDGE_EDGE, VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
-from sim.contact.pairs import AFTER, FELT, GAP, THICK, Pairs
+from sim.contact.pairs import AFTER, FELT, GAP, THICK, Feels, Pairs
 from sim.contact.proximity import measure
 from tests.contact import judge
 from tests.worlds import grid, scene
@@ -16,11 +16,13 @@ FIRST = 1000
 """Where the keys of pairs start; those of obstacles are lower."""
 
 H = 0.01
-NO_SOLID = Solid(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2), dtype=np.int64))
+NONE = np.zeros((0, 3), dtype=np.int64)
+NO_SOLID = Solid(np.zeros((0, 3)), NONE, NONE[:, :2], NONE[:, 0])
 TETRAHEDRON = Solid(
     np.array([[0.1, 0.1, -0.004], [0.3, 0.1, -0.05], [0.1, 0.3, -0.05], [0.05, 0.05, -0.2]]),
     np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
     np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]),
+    np.zeros(4, dtype=np.int64),
 )
 
 
@@ -29,7 +31,7 @@ class Case:
 
     def __init__(self, *cloth, thickness=0.02, solid=NO_SOLID, shift=(0.0, 0.0, 0.0), own=True):
         self.world = sim.Simulation(scene(list(cloth)))
-        self.pairs = Pairs(self.world.mesh, self.world.model.free, solid, own, FIRST)
+        self.pairs = Pairs(self.world.mesh, self.world.model.free, solid, Feels(own, own), FIRST)
         self.x, self.thickness = self.world.positions.copy(), thickness
         self.before, self.after = solid.vertices, solid.vertices + shift
         self.corners = len(self.x) + len(solid.vertices)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from sim.effects import feels_cloth, feels_obstacles
 from sim.integrators import INTEGRATORS
 from sim.scene import Scene
 from sim.settings import FIELDS, Settings, change
@@ -68,7 +69,8 @@ def steps(chosen: Settings, effort: Effort) -> list[float]:
 
 def has_contact(scene: Scene, settings: Settings) -> bool:
     """Whether cloth can touch anything."""
-    return settings.contact != "none" and (bool(scene.obstacle) or settings.self_collision != "off")
+    there = feels_obstacles(settings, scene.obstacle_labels), feels_cloth(settings, len(scene.cloth) > 1)
+    return settings.contact != "none" and any(there)
 
 
 def plan(scene: Scene, chosen: Settings, effort: Effort, contact: bool) -> list[Planned]:

@@ -22,7 +22,7 @@ def named(report, name):
 
 
 def test_every_effect_is_there_once(audited):
-    assert [effect.name for effect in audited.effects] == list(EFFECTS)
+    assert [effect.name for effect in audited.effects] == [*EFFECTS, "obstacle 0"]
 
 
 def test_gravity_and_the_obstacle_matter(audited):
