@@ -135,7 +135,7 @@ def backward_euler(
         exact = newton > filtered
         lag = v_hat if newton == 1 else velocities  # the first iterate stands still, which air would not feel
         forces = model.linearise(at, velocities, contacts, h, exact, lag)
-        rough = ROUGH * settings.tolerance if contacts.rubs else settings.tolerance
+        rough = ROUGH if contacts.rubs else 1.0
         linear = _solve(model, loose, settings, forces, change, guess, shortcut, h, rough)
         if exact and linear.broken:
             exact, forces = False, model.linearise(at, velocities, contacts, h)
@@ -144,7 +144,7 @@ def backward_euler(
         end = velocities + linear.step
         rubbed = contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces)
         if rubbed or (linear.converged and linear.error > settings.tolerance):
-            go_on = linear.step, np.zeros_like(guess), h, settings.tolerance
+            go_on = linear.step, np.zeros_like(guess), h
             linear = _solve(model, loose, settings, forces, change, *go_on, anew=False)
             if exact and linear.broken:  # what the first solve did not come across, this one may
                 forces = model.linearise(at, velocities, contacts, h, lag=lag)
@@ -212,8 +212,8 @@ class _Linear:
     solver: str
 
 
-def _solve(model, loose, settings, forces, change, guess, shortcut, h, tolerance, anew=True) -> _Linear:
-    """Solve A step = M `change` + h `forces`, to `tolerance` [m] in h · step.
+def _solve(model, loose, settings, forces, change, guess, shortcut, h, rough=1.0, anew=True) -> _Linear:
+    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step, or `rough` times that.
 
     On `loose` pieces, which nothing holds from outside, A moves a translation like M alone does: what
     the residual has of one is taken out exactly, so that the tolerance costs no momentum. The preconditioner
@@ -226,9 +226,10 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h, tolerance
     most = _worth_a_factorisation(n) if auto and n <= LARGEST_DIRECT else MOST_ITERATIONS
     if anew:
         refresh(model.preconditioner, model.matrix)
-    right, step, allowed = rest.copy(), guess.copy(), tolerance / h
+    right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
+    system = model.matrix, model.coupling, model.preconditioner
     iterations, error, status = conjugate_gradients(
-        model.matrix, model.coupling, model.preconditioner, model.work, rest, step, shortcut, allowed, most
+        *system, model.work, rest, step, shortcut, allowed, rough, most
     )
     if status == EXHAUSTED and most < MOST_ITERATIONS:
         return _solve_directly(model, settings, right, h, iterations)

@@ -261,6 +261,7 @@ def own_iterations(system: System) -> int:
         none.copy(),
         none,
         allowed,
+        1.0,
         MOST,
     )
     return int(count)
