@@ -420,7 +420,8 @@ class Simulation:
         if not felt.which.any():
             return float(ways.max())
         before, after = (obstacles.poses(t) for t in (self._time, self._time + self.settings.dt))
-        turn = np.linalg.norm(after.rotation - before.rotation, 2, axis=(1, 2))
+        # Of the difference of two rotations the largest singular value is there twice, and the third is zero.
+        turn = np.linalg.norm(after.rotation - before.rotation, axis=(1, 2)) / math.sqrt(2.0)
         reach = np.linalg.norm(obstacles.shapes.half, axis=1)
         rigid = np.linalg.norm(after.position - before.position, axis=1) + turn * reach
         corners = (obstacles.corners(poses, felt.solid) for poses in (before, after))

@@ -45,6 +45,9 @@ NEAR = 2.0
 MOST_JUMPS = 64
 """Jumps of continuous detection after which the time reached counts as the time of contact."""
 
+NOBODY, SEVERAL = -1, -2
+"""What carries a vertex along that no obstacle does, or more than one would."""
+
 NEARER = 0.5
 """Part of the way to an obstacle that a triangle may go where nothing else helps."""
 
@@ -66,6 +69,7 @@ class Faces:
 
     def __init__(self, mesh: Mesh, free: np.ndarray, obstacles: Obstacles, first_key: int) -> None:
         faces = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
+        self._free = free
         self._faces = np.ascontiguousarray(faces[free[faces].any(axis=1)], dtype=np.int32)
         self._first_key, self._room = first_key, 64
         self.last_key = first_key + len(self._faces) * len(obstacles.parts)
@@ -85,15 +89,38 @@ class Faces:
         gap = GAP * self._step[-1]
         return self._found(shapes, end, gap, AFTER * gap, continuous=True)
 
-    def shorten(self, end: np.ndarray, hits: Contacts) -> np.ndarray:
-        """Let the faces in `hits` go no farther to `end` than they can without meeting what rests.
+    def own(self, hits: Contacts) -> np.ndarray:
+        """(c,) bool, which contacts are between a triangle and an obstacle."""
+        return (hits.key >= self._first_key) & (hits.key < self.last_key)
 
-        Returns the vertices that would have gone farther.
+    def carry(self, hits: Contacts, rest: np.ndarray, carrier: np.ndarray) -> None:
+        """Let `rest` (n, 3) [m] of the vertices in `hits` be where the obstacle takes what goes along.
+
+        `carrier` (n,) is the obstacle that each one goes along with, NOBODY at first. A vertex that meets
+        several of them is between their jaws: it goes with none.
         """
-        hits = hits.only((hits.key >= self._first_key) & (hits.key < self.last_key))
+        x, before, after, *_ = self._step
+        hits = hits.only(self.own(hits))
+        obstacle = (hits.key - self._first_key) // max(len(self._faces), 1)
+        for o in np.unique(obstacle):
+            node = hits.node[obstacle == o]
+            which = np.unique(node[self._free[node]])
+            carrier[which] = np.where((carrier[which] == NOBODY) | (carrier[which] == o), o, SEVERAL)
+            local = (x[which] - before.position[o]) @ before.rotation[o]
+            along = local @ after.rotation[o].T + after.position[o]
+            rest[which] = np.where((carrier[which] == o)[:, None], along, x[which])
+
+    def shorten(self, end: np.ndarray, hits: Contacts, rest: np.ndarray) -> np.ndarray:
+        """Let the faces in `hits` go no farther to `end` than they can without meeting what they rest beside.
+
+        That is a part of their distance at the start away from `rest` (n, 3) [m]. Returns the vertices that
+        would have gone farther.
+        """
+        hits = hits.only(self.own(hits))
         least = np.full(len(end), np.inf)
         np.minimum.at(least, hits.node.ravel(), np.repeat(hits.start, 4))
-        return go_at_most(self._step[0], end, np.flatnonzero(least < np.inf), NEARER * least[least < np.inf])
+        which = np.flatnonzero(least < np.inf)
+        return go_at_most(rest, end, which, NEARER * least[which])
 
     def _found(
         self, shapes: Shapes | None, end: np.ndarray, gap: float, keep: float, continuous: bool

@@ -20,7 +20,8 @@ from msgspec.structs import replace as replaced
 
 from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
-from sim.contact.faces import Faces
+from sim.contact.eruption import erupts
+from sim.contact.faces import NOBODY, Faces
 from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.impact import EDGE_EDGE
@@ -28,7 +29,7 @@ from sim.contact.obstacles import MESH, Obstacles, Poses, Shapes
 from sim.contact.pairs import Feels, Pairs
 from sim.contact.pinch import fit
 from sim.contact.reach import box, within_reach
-from sim.contact.response import RECOVERY_SPEED, RESPONSES, Response, lacks, targets
+from sim.contact.response import RESPONSES, Response, lacks, targets
 from sim.effects import COLLISIONS, OBSTACLE
 from sim.integrators import INTEGRATORS
 from sim.ledger import UNBOOKED, Part, Unbooked
@@ -46,9 +47,6 @@ MOST_ROUNDS = 8
 
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
-
-GROWTH = 0.1
-"""Part of the kinetic energy by which a step may raise the energy and still be a good one."""
 
 SLACK = 0.1
 """Part of the thickness that contacts may lack in a step where to push each by itself would put energy in."""
@@ -395,12 +393,17 @@ class Pipeline:
         left = np.where(slip <= SLOW, s.friction * pressed - h * springs.drag * slip, 0.0)
         crept = touch(springs.contacts.key, np.maximum(left, 0.0), slip, h)
         known = felt, crept.of(contacts.key)[0]
-        found = self._push(response, pairs, way, contacts, *known, solution, last)
-        if found is None and response.impulses and response.solved:
-            thinner = np.where(np.isin(contacts.key, felt.key), 1.0 - SLACK, 1.0)
-            contacts = contacts._replace(thickness=thinner * contacts.thickness)
-            found = self._push(response, pairs, way, contacts, *known, solution, last)
-        return found
+        watched = response.impulses and response.solved and not last
+        for slack in (0.0, SLACK) if watched else (0.0,):
+            keep = np.where(np.isin(contacts.key, felt.key), 1.0 - slack, 1.0) * contacts.thickness
+            thinner = contacts._replace(thickness=keep)
+            found = self._push(response, pairs, way, thinner, *known, solution, last)
+            if found is None:  # a tangle, which thinner contacts do not undo
+                return None
+            end, met, pressed = found
+            if not (watched and erupts(self._model, s, met, pressed, way.x, way.v, end)):
+                return end, touch(met.key, pressed, felt.of(met.key)[1], h)
+        return None
 
     def _push(
         self,
@@ -412,8 +415,12 @@ class Pipeline:
         crept: np.ndarray,
         solution: Solution,
         last: bool,
-    ) -> tuple[Solution, Touch] | None:
-        """Impulses and friction of contacts; the solve `felt` some, and left `crept` (c,) [N s] to rub."""
+    ) -> tuple[Solution, Contacts, np.ndarray] | None:
+        """Impulses and friction of contacts; the solve `felt` some, and left `crept` (c,) [N s] to rub.
+
+        Returns:
+            The end of the step, all contacts, and what each of them pressed with [N s]; None for a tangle.
+        """
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
         solution = replace(
             solution, positions=solution.positions.copy(), velocities=solution.velocities.copy()
@@ -439,32 +446,7 @@ class Pipeline:
         else:
             contacts, pressed = found
             pressed[: len(impulses)] += impulses
-        watched = response.impulses and response.solved and not last
-        if watched and self._erupts(way, contacts, pressed, solution):
-            return None
-        return solution, touch(contacts.key, pressed, felt.of(contacts.key)[1], h)
-
-    def _erupts(self, way: _Way, contacts: Contacts, pressed: np.ndarray, solution: Solution) -> bool:
-        """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
-
-        Impulses move vertices without asking the springs, and a linearised step tells little of what happens
-        to cloth that is stopped within an edge's length; in steps that are short enough neither matters.
-        `pressed` (c,) is what the contacts gave [N s].
-        """
-        if not len(contacts.key):
-            return False
-        mass, speed = self._model.masses, np.linalg.norm(contacts.speed, axis=1)
-        moved = np.unique(contacts.node[contacts.weight != 0.0])
-        work = (1.0 + way.settings.friction) * float(pressed @ speed)
-        if self._model.wind is not None:
-            work += way.settings.dt * max(self._model.wind.power(solution.velocities), 0.0)
-        thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
-        weight = float(np.linalg.norm(way.settings.gravity))
-        lifted = 0.5 * RECOVERY_SPEED**2 + way.settings.thickness * weight
-        before, after = (0.5 * float(mass @ (v * v).sum(axis=1)) for v in (way.v, solution.velocities))
-        # The start first: the solve has measured springs there, and where they end they are measured anyway.
-        stored, kept = (self._model.potential(x, NO_GAP_SPRINGS) for x in (way.x, solution.positions))
-        return after - before + kept - stored > work + thrown + mass.sum() * lifted + GROWTH * before
+        return solution, contacts, pressed
 
     def _untangle(
         self,
@@ -512,22 +494,30 @@ class Pipeline:
     def _hold_back(self, pairs: Pairs | None, way: _Way, x: np.ndarray) -> None:
         """Let vertices that would still meet something go only as far as nothing can be met; speeds stay.
 
-        Where that leads others into what they would not have met, over and over, it is done to all of them.
+        Those that would meet an obstacle that moves go along with it: where they were, it comes. Where that
+        leads others into what they would not have met, over and over, it is done to all of them, and none is
+        taken along.
         """
-        held, everything = np.zeros(len(x), dtype=bool), np.flatnonzero(self._model.free)
+        free, held = self._model.free, np.zeros(len(x), dtype=bool)
+        rest, carrier = way.x.copy(), np.full(len(x), NOBODY)
         for turn in itertools.count():
             with way.report.phase("detect"):
                 hits = self._hits(way, pairs, x)
-            # All vertices of a pair, also those that weigh nothing where it meets: it might turn about these.
-            which = np.unique(hits.node[self._model.free[hits.node]])
-            shortened = self._faces.shorten(x, hits)
-            if pairs is not None and len(which):
-                which = everything if turn >= MOST_TURNS else which
+            often = turn >= MOST_TURNS
+            if often:
+                rest[:] = way.x
+            else:
+                self._faces.carry(hits, rest, carrier)
+            shortened = self._faces.shorten(x, hits, rest)
+            if pairs is not None and len(hits.key):
+                # All vertices of a pair: it might turn about those that weigh nothing where it meets.
+                node = hits.only(~self._faces.own(hits)).node
+                which = np.flatnonzero(free) if often else np.unique(node[free[node]])
                 shortened = np.union1d(shortened, pairs.shorten(x, which))
             if not len(shortened):
                 break
             stay = shortened[held[shortened]]  # what is left of these ways is rounding
-            x[stay] = way.x[stay]
+            x[stay] = rest[stay]
             held[shortened] = True
         way.report.held_back += int(np.count_nonzero(held))
         way.report.failsafes += bool(held.any())

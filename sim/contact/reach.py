@@ -7,10 +7,13 @@ obstacle is a bound for that of every vertex, edge and triangle. Where it exceed
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from sim.compiled import kernel
-from sim.contact.obstacles import PLANE, ROUNDED, Poses, Shapes
+from sim.compiled import inner, kernel, row
+from sim.contact.detect import into_frame
+from sim.contact.obstacles import PLANE, ROUNDED
 
 MARGIN = 1e-9
 """Part of the largest coordinate that rounding may have taken off a distance, and far more than it does."""
@@ -37,9 +40,8 @@ def _extent(points):
     return low + wild, high + wild
 
 
-def within_reach(
-    shapes: Shapes, before: Poses, after: Poses, start: np.ndarray, end: np.ndarray, reach: float
-) -> np.ndarray:
+@kernel
+def within_reach(shapes, before, after, start, end, reach):
     """(o,) bool, which shapes may come within `reach` [m] of cloth that goes from one box to another.
 
     Args:
@@ -50,21 +52,27 @@ def within_reach(
         end: (8, 3) and at the end.
         reach: [m].
     """
-    corners = np.concatenate([_seen(start, before), _seen(end, after)], axis=1)
-    here = (shapes.kind == ROUNDED) | (shapes.kind == PLANE)
-    if not np.isfinite(corners).all():
-        return here
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    aside = np.maximum(np.maximum(low - shapes.half, -shapes.half - high), 0.0)
-    distance = np.where(shapes.kind == PLANE, low[:, 2], np.linalg.norm(aside, axis=1) - shapes.radius)
-    size = (
-        np.abs(corners).max(initial=0.0)
-        + np.abs(shapes.half).max(initial=0.0)
-        + shapes.radius.max(initial=0.0)
-    )
-    return here & ~(distance > reach + MARGIN * size)
+    found, low, high = np.zeros(len(shapes.kind), dtype=np.bool_), np.empty(3), np.empty(3)
+    for o in range(len(found)):
+        if shapes.kind[o] != ROUNDED and shapes.kind[o] != PLANE:
+            continue
+        low[:], high[:], wild = np.inf, -np.inf, 0.0
+        for k in range(8):
+            _include(into_frame(before.position[o], before.rotation[o], row(start, k)), low, high)
+            _include(into_frame(after.position[o], after.rotation[o], row(end, k)), low, high)
+            wild += 0.0 * (start[k].sum() + end[k].sum())  # not a number where a corner is none
+        square, size = 0.0, shapes.radius[o]
+        for r in range(3):
+            half = shapes.half[o, r]
+            square += max(low[r] - half, -half - high[r], 0.0) ** 2
+            size += max(abs(low[r]), abs(high[r])) + half
+        distance = low[2] if shapes.kind[o] == PLANE else math.sqrt(square) - shapes.radius[o]
+        found[o] = not distance + wild > reach + MARGIN * size
+    return found
 
 
-def _seen(corners: np.ndarray, poses: Poses) -> np.ndarray:
-    """(o, 8, 3) corners in the frame of each obstacle."""
-    return np.einsum("oij,oki->okj", poses.rotation, corners[None] - poses.position[:, None])
+@inner
+def _include(point, low, high):
+    """Let the box reach as far as a point."""
+    low[0], low[1], low[2] = min(low[0], point.x), min(low[1], point.y), min(low[2], point.z)
+    high[0], high[1], high[2] = max(high[0], point.x), max(high[1], point.y), max(high[2], point.z)

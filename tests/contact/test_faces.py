@@ -7,6 +7,7 @@ import trimesh
 
 import sim
 from sim.contact import faces as module
+from sim.contact import pipeline
 from sim.contact.contacts import NO_CONTACTS
 from sim.contact.faces import GAP, NEAR, REACH, ROOM, Faces
 from sim.contact.obstacles import Obstacles
@@ -236,6 +237,16 @@ def test_no_triangle_meets_what_is_finer_than_the_sheet(case, own):
 def test_the_same_scenes_fail_where_only_vertices_are_looked_at(case, monkeypatch):
     monkeypatch.setattr(Faces, "_found", lambda *_, **more: NO_CONTACTS)
     assert run(case, self_collision="off")[0] <= 0.0
+
+
+@pytest.mark.parametrize("case", ["a small ball at 10 m/s", "a plate edge-on at 10 m/s"])
+def test_the_last_resort_alone_holds_cloth_before_an_obstacle_that_moves(case, monkeypatch):
+    """Without a round of impulses, and with whole steps only: vertices that would meet it go along with it."""
+    monkeypatch.setattr(pipeline, "MOST_ROUNDS", 0)
+    monkeypatch.setattr(pipeline, "MOST_HALVINGS", 0)
+    least, reports = run(case, self_collision="off", friction=0.0)
+    assert max(report.held_back for report in reports) > 0
+    assert least > 0.0
 
 
 def test_a_large_ball_has_no_contact_more_than_its_vertices_have(monkeypatch):

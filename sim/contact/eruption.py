@@ -1,0 +1,54 @@
+"""Whether a step put in more energy than anything there could have given: then it is not taken.
+
+Impulses move vertices without asking the springs, and a linearised step tells little of what happens to cloth
+that is stopped within an edge's length; in steps that are short enough neither matters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.contact.contacts import Contacts
+from sim.contact.gap import NO_GAP_SPRINGS
+from sim.contact.response import RECOVERY_SPEED
+from sim.model import Model
+from sim.settings import Settings
+from sim.solve.implicit import Solution
+
+GROWTH = 0.1
+"""Part of the kinetic energy by which a step may raise the energy and still be a good one."""
+
+
+def erupts(
+    model: Model,
+    settings: Settings,
+    contacts: Contacts,
+    pressed: np.ndarray,
+    x: np.ndarray,
+    v: np.ndarray,
+    end: Solution,
+) -> bool:
+    """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
+
+    Args:
+        model: Springs and masses.
+        settings: Of the step.
+        contacts: All that it met.
+        pressed: (c,) what each of them gave [N s].
+        x: (n, 3) positions at its start [m].
+        v: (n, 3) velocities there [m/s].
+        end: Of the step.
+    """
+    if not len(contacts.key):
+        return False
+    mass, speed = model.masses, np.linalg.norm(contacts.speed, axis=1)
+    moved = np.unique(contacts.node[contacts.weight != 0.0])
+    work = (1.0 + settings.friction) * float(pressed @ speed)
+    if model.wind is not None:
+        work += settings.dt * max(model.wind.power(end.velocities), 0.0)
+    thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
+    lifted = 0.5 * RECOVERY_SPEED**2 + settings.thickness * float(np.linalg.norm(settings.gravity))
+    before, after = (0.5 * float(mass @ (u * u).sum(axis=1)) for u in (v, end.velocities))
+    # The start first: the solve has measured springs there, and where they end they are measured anyway.
+    stored, kept = (model.potential(y, NO_GAP_SPRINGS) for y in (x, end.positions))
+    return after - before + kept - stored > work + thrown + mass.sum() * lifted + GROWTH * before
