@@ -186,7 +186,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             le=1e4,
             scale="log",
             slider=(1e-6, 1e-1),
-            label="bending stiffness",
+            label="bend stiffness",
             formula="E = ½ c w (θ − θ₀)², w = |e| / (h₁ + h₂)",
             cost="free unless very stiff",
             ramps=True,

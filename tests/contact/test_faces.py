@@ -241,7 +241,7 @@ def test_the_same_scenes_fail_where_only_vertices_are_looked_at(case, monkeypatc
 
 @pytest.mark.parametrize("case", ["a small ball at 10 m/s", "a plate edge-on at 10 m/s"])
 def test_the_last_resort_alone_holds_cloth_before_an_obstacle_that_moves(case, monkeypatch):
-    """Without a round of impulses, and with whole steps only: vertices that would meet it go along with it."""
+    """Without rounds of impulses, and in whole steps: vertices that would meet it go along with it."""
     monkeypatch.setattr(pipeline, "MOST_ROUNDS", 0)
     monkeypatch.setattr(pipeline, "MOST_HALVINGS", 0)
     least, reports = run(case, self_collision="off", friction=0.0)
