@@ -63,6 +63,12 @@ def text(group: str, description: str, *, pattern: str, example: str, label: str
     return Meta(pattern=pattern, description=description, extra=extra)
 
 
+PAIRS = {
+    "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
+    "on": "all pairs are found anew and looked at every time",
+}
+"""How pairs of cloth may be looked at."""
+
 SWITCHES = r"^([^=,\s][^=,]*=(on|off)(, *[^=,\s][^=,]*=(on|off))*)?\Z"
 """Names of obstacles, and how each one is switched."""
 
@@ -341,8 +347,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             "Contact",
             "Whether a piece of cloth feels itself: all its vertices, edges and triangles.",
             choices=lambda: {
-                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
-                "on": "all pairs are found anew and looked at every time",
+                **PAIRS,
                 "off": "a piece goes through itself",
             },
             label="self-collision",
@@ -355,8 +360,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             "Contact",
             "Whether pieces of cloth feel each other.",
             choices=lambda: {
-                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
-                "on": "all pairs are found anew and looked at every time",
+                **PAIRS,
                 "off": "pieces go through each other",
             },
             label="cloth–cloth collision",
@@ -370,8 +374,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             "Whether edges of cloth feel edges, of cloth and of mesh obstacles, and not vertices and "
             "triangles alone.",
             choices=lambda: {
-                "auto": "looked at where bounds cannot show that nothing is near; the same cloth as with on",
-                "on": "all pairs are found anew and looked at every time",
+                **PAIRS,
                 "off": "edges go through edges",
             },
             label="edge–edge tests",
