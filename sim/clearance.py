@@ -17,6 +17,7 @@ import statistics
 import fcl
 import numpy as np
 
+from sim.effects import felt_obstacles
 from sim.mesh import Mesh
 from sim.placement import pose
 from sim.scene import Box, Capsule, Obstacle, Plane, Scene, SceneError, Sphere
@@ -40,9 +41,9 @@ def crossing_warnings(mesh: Mesh, scene: Scene) -> list[str]:
     Raises:
         SceneError: where a simulation would refuse to start.
     """
-    shells = [
-        _Body(i, *pair) for i, pair in enumerate(zip(scene.obstacle, mesh.shells, strict=True)) if pair[1]
-    ]
+    felt = felt_obstacles(scene.settings, scene.obstacle_labels)
+    parts = zip(scene.obstacle, mesh.shells, felt, strict=True)
+    shells = [_Body(i, part, shell) for i, (part, shell, felt) in enumerate(parts) if shell and felt]
     first = np.cumsum([0] + [len(body.shell.vertices) for body in shells if body.shell])
     solid = [body.shell.triangles + k for body, k in zip(shells, first, strict=False) if body.shell]
     surfaces = surfaces_of(mesh, scene.settings, np.concatenate([np.zeros((0, 3), dtype=np.int64), *solid]))
@@ -69,8 +70,7 @@ def crossing_pairs(points: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     fcl.collide(one, other, request, found)
     pairs = np.array([(c.b1, c.b2) for c in found.contacts if c.b1 < c.b2], dtype=np.int64).reshape(-1, 2)
     joined = (corners[pairs[:, 0], :, None] == corners[pairs[:, 1], None]).any(axis=(1, 2))
-    cloth = corners[pairs][:, :, 0] < surfaces.cloth
-    wrong = cloth.all(axis=1) if surfaces.own else cloth[:, 0] != cloth[:, 1]
+    wrong = surfaces.counts(*corners[pairs][:, :, 0].T)
     return np.unique(pairs[~joined & wrong], axis=0)
 
 

@@ -347,10 +347,15 @@ def _tunnelling(settings: Settings, report: StepReport, thickness: float) -> str
     return f"; may tunnel: moved {1e3 * report.moved:.3g} mm, thickness {1e3 * thickness:.2g} mm, {why}"
 
 
+def felt_obstacles(settings: Settings, obstacles: Sequence[str]) -> list[bool]:
+    """Which of the obstacles that are called so cloth feels."""
+    single = single_obstacles(settings.each_obstacle)
+    return [settings.obstacles != "off" and single.get(label) != "off" for label in obstacles]
+
+
 def feels_obstacles(settings: Settings, obstacles: Sequence[str]) -> bool:
     """Whether cloth feels one of the obstacles at least."""
-    single = single_obstacles(settings.each_obstacle)
-    return settings.obstacles != "off" and any(single.get(label) != "off" for label in obstacles)
+    return any(felt_obstacles(settings, obstacles))
 
 
 def feels_cloth(settings: Settings, several: bool) -> bool:

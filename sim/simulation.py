@@ -106,9 +106,10 @@ class Simulation:
             self.mesh.vertices + self.settings.jitter * self.model.confined(noise),
             self.contact.obstacles,
         )
-        surfaces = surfaces_of(self.mesh, self.settings, obstacles.solid.triangles)
-        solid = obstacles.corners(obstacles.poses(0.0))
-        return clear_start(x, solid, surfaces, self.settings, self.scene.source)
+        solid = obstacles.felt(self.settings).solid
+        surfaces = surfaces_of(self.mesh, self.settings, solid.triangles)
+        corners = obstacles.corners(obstacles.poses(0.0), solid)
+        return clear_start(x, corners, surfaces, self.settings, self.scene.source)
 
     @property
     def settings(self) -> Settings:

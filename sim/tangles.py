@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.effects import feels_cloth
 from sim.mesh import Mesh, distinct_edges
 from sim.scene import SceneError
 from sim.settings import Settings
@@ -50,15 +51,25 @@ class Surfaces(NamedTuple):
         triangles: (m, 3) int vertex numbers.
         free: (n,) bool, which vertices may move.
         cloth: How many vertices, the first ones, are cloth.
-        own: Whether cloth across cloth counts.
+        piece: (n,) the piece of cloth that each vertex is of, negative for those of obstacles.
+        within: Whether it counts where a piece crosses itself.
+        between: Whether it counts where pieces cross each other.
         axis: The coordinate that no vertex moves along, None where all may.
     """
 
     triangles: np.ndarray
     free: np.ndarray
     cloth: int
-    own: bool
+    piece: np.ndarray
+    within: bool
+    between: bool
     axis: int | None = None
+
+    def counts(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Whether what is at vertices i and at vertices j may not cross; obstacles may cross each other."""
+        one, other = self.piece[i], self.piece[j]
+        of_cloth = np.where(one == other, self.within, self.between)
+        return np.where(np.minimum(one, other) >= 0, of_cloth, np.maximum(one, other) >= 0)
 
     @property
     def cloth_triangles(self) -> int:
@@ -83,15 +94,17 @@ class Untangled(NamedTuple):
 
 
 def surfaces_of(mesh: Mesh, settings: Settings, obstacles: np.ndarray) -> Surfaces | None:
-    """What may not cross what: cloth, then `obstacles` (m, 3), numbered from 0; None if all may."""
-    own = settings.self_collision != "off"
-    solid = obstacles[: len(obstacles) * (settings.obstacles != "off")]
-    if settings.contact == "none" or not (own or len(solid)) or not len(mesh.triangles):
+    """What may not cross what: cloth, then felt `obstacles` (m, 3), numbered from 0; None if all may."""
+    felt = feels_cloth(settings, mesh.several) or len(obstacles)
+    if settings.contact == "none" or not felt or not len(mesh.triangles):
         return None
     n = len(mesh.vertices)
-    free = np.ones(n + int(solid.max(initial=-1)) + 1, dtype=bool)
-    free[mesh.pinned] = free[n:] = False
-    return Surfaces(np.concatenate([mesh.triangles, solid + n]), free, n, own, mesh.axis)
+    piece = np.concatenate([mesh.pieces, np.full(int(obstacles.max(initial=-1)) + 1, -1)])
+    free = piece >= 0
+    free[mesh.pinned] = False
+    within, between = settings.self_collision != "off", settings.cloth_collision != "off"
+    triangles = np.concatenate([mesh.triangles, obstacles + n])
+    return Surfaces(triangles, free, n, piece, within, between, mesh.axis)
 
 
 def refuses(settings: Settings) -> bool:
@@ -106,7 +119,7 @@ def clear_start(
 
     Args:
         x: The cloth's vertices.
-        solid: (k, 3) those of mesh obstacles [m].
+        solid: (k, 3) those of the mesh obstacles that are felt [m].
         surfaces: Of `surfaces_of`.
         settings: Say what is to be done about a tangle.
         source: The scene, for messages.
@@ -117,7 +130,7 @@ def clear_start(
     undo = settings.tangled == "untangle"
     if surfaces is None or not (undo or refuses(settings)):
         return x, ""
-    points = np.concatenate([x, solid])[: len(surfaces.free)]
+    points = np.concatenate([x, solid])
     if not undo:
         pairs = _pairs(_crossings(points, surfaces), surfaces)
         if len(pairs):
@@ -230,9 +243,8 @@ def _crossings(x: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     from sim.contact.intersections import intersections  # whose kernels only a start needs
 
     found = intersections(x, surfaces.triangles)
-    of_cloth = _edges(surfaces)[found[:, 0], 0] < surfaces.cloth
-    on_cloth = surfaces.triangles[found[:, 1], 0] < surfaces.cloth
-    return found[(of_cloth & on_cloth) if surfaces.own else (of_cloth != on_cloth)]
+    edges, corners = _edges(surfaces)[found[:, 0], 0], surfaces.triangles[found[:, 1], 0]
+    return found[surfaces.counts(edges, corners)]
 
 
 def _edges(surfaces: Surfaces) -> np.ndarray:

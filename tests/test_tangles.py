@@ -116,6 +116,23 @@ def obstacle(**settings):
     return scene({"vertices": dented, "triangles": triangles}, plate, **{"contact": "impulse", **settings})
 
 
+@pytest.mark.parametrize("own", ["off", "auto"])
+def test_cloth_across_a_mesh_obstacle_is_refused_whether_it_feels_itself_or_not(own):
+    with pytest.raises(sim.SceneError, match=r"\d+ and \d+ of the obstacle"):
+        sim.Simulation(obstacle(self_collision=own))
+    with pytest.raises(sim.SceneError, match=r"\d+ and \d+ of the obstacle"):
+        check_scene(sim.load_scene(obstacle(self_collision=own)))
+    sim.Simulation(obstacle(self_collision=own, each_obstacle="0=off"))
+
+
+def test_pieces_across_each_other_are_refused_where_pieces_feel_each_other():
+    layers = poked()
+    settings = {**layers["settings"], "self_collision": "off", "cloth_collision": "auto"}
+    with pytest.raises(sim.SceneError, match="crosses itself"):
+        sim.Simulation({**layers, "settings": settings})
+    sim.Simulation({**layers, "settings": {**settings, "self_collision": "auto", "cloth_collision": "off"}})
+
+
 def test_cloth_across_a_mesh_obstacle_is_refused_or_moved_off_it():
     with pytest.raises(sim.SceneError, match=r"\d+ and \d+ of the obstacle"):
         sim.Simulation(obstacle())

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compiled import Vec3, dot, inner, row
-from sim.effects import single_obstacles
+from sim.effects import felt_obstacles, single_obstacles
 from sim.mesh import distinct_edges
 from sim.placement import pose
 from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
@@ -127,7 +127,7 @@ class Obstacles:
         if self._felt is None or self._felt[0] != switches:
             single = single_obstacles(settings.each_obstacle)
             each = [single.get(label, settings.obstacles) for label in self.labels]
-            which = np.array([how != "off" and settings.obstacles != "off" for how in each], dtype=bool)
+            which = np.array(felt_obstacles(settings, self.labels), dtype=bool)
             forced = which & np.array([how == "on" for how in each], dtype=bool)
             self._felt = switches, Felt(which, forced, self.solid.only(which))
         return self._felt[1]
