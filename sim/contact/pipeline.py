@@ -48,8 +48,8 @@ MOST_ROUNDS = 8
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
 
-SLACK = 0.1
-"""Part of the thickness that contacts may lack in a step where to push each by itself would put energy in."""
+NEWTON = 2
+"""Newton iterations of a step that put in energy with fewer: its line search asks the springs themselves."""
 
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
@@ -72,6 +72,7 @@ class _Way:
     solve: Solve
     report: StepReport
     part: Part | Unbooked
+    erupted: bool = False
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -164,13 +165,21 @@ class Pipeline:
     def _part(
         self, settings, response, pairs, time, x, v, touched, solve, report, halvings
     ) -> tuple[Solution, Touch]:
-        """Take a step, or where that leads to a tangle its two halves one after the other."""
+        """Take a step, or where that leads to a tangle its two halves one after the other.
+
+        One that puts in energy is first repeated with more Newton iterations: cloth that is stopped within an
+        edge's length stretches in a way that no linear model tells.
+        """
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
         part = Part(self._model, x, v) if self.booked else UNBOOKED
         way = _Way(settings, *poses, x, v, solve, report, part)
         last = halvings == 0 or report.failsafes >= MOST_FAILSAFES
         found = self._attempt(way, response, pairs, touched, last)
+        if way.erupted and settings.newton < NEWTON:
+            settings = replaced(settings, newton=NEWTON)
+            way = replace(way, settings=settings)
+            found = self._attempt(way, response, pairs, touched, last)
         if found is not None:
             if isinstance(part, Part):
                 part.close(found[0])
@@ -393,17 +402,13 @@ class Pipeline:
         left = np.where(slip <= SLOW, s.friction * pressed - h * springs.drag * slip, 0.0)
         crept = touch(springs.contacts.key, np.maximum(left, 0.0), slip, h)
         known = felt, crept.of(contacts.key)[0]
+        found = self._push(response, pairs, way, contacts, *known, solution, last)
+        if found is None:
+            return None
+        end, met, pressed = found
         watched = response.impulses and response.solved and not last
-        for slack in (0.0, SLACK) if watched else (0.0,):
-            keep = np.where(np.isin(contacts.key, felt.key), 1.0 - slack, 1.0) * contacts.thickness
-            thinner = contacts._replace(thickness=keep)
-            found = self._push(response, pairs, way, thinner, *known, solution, last)
-            if found is None:  # a tangle, which thinner contacts do not undo
-                return None
-            end, met, pressed = found
-            if not (watched and erupts(self._model, s, met, pressed, way.x, way.v, end)):
-                return end, touch(met.key, pressed, felt.of(met.key)[1], h)
-        return None
+        way.erupted = watched and erupts(self._model, s, met, pressed, way.x, way.v, end)
+        return None if way.erupted else (end, touch(met.key, pressed, felt.of(met.key)[1], h))
 
     def _push(
         self,
