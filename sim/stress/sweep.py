@@ -203,7 +203,7 @@ class Watch:
         world, s = self.trial.world, self.trial.world.settings
         promised = s.contact == "impulse" and s.detection == "continuous"
         crossings = self.judge.crossings(world.positions)
-        if promised and s.self_collision != "off" and self._clean:
+        if promised and "off" not in (s.self_collision, s.cloth_collision, s.edge_edge) and self._clean:
             self.judged += 1
             way = self.judge.each_meeting(before, world.positions) if report.substeps == 1 else iter(())
             self.tangled += bool(crossings) or next(way, None) is not None
