@@ -13,7 +13,7 @@ from server.meter import Meter
 from server.palette import VARIANTS
 from server.plots import CostPlot, PairPlot
 from server.ringdown import EXPLANATION, Results, damping_table
-from server.tables import NOTHING, caption, effects_table, sums_table, update, variant_table
+from server.tables import NOTHING, caption, effects_table, sums_table, threads_line, update, variant_table
 from server.tradeoff import Tradeoff
 
 MEASURE = "Measure the damping"
@@ -39,6 +39,7 @@ class Charts:
             self._table = gui.add_html("")
             gui.add_html(caption("milliseconds per step, by phase"))
             self._costs = [CostPlot(server, color) for color in VARIANTS]
+            self._threads = gui.add_html("")
         with panel.add_tab("Energy"):
             self._energies = PairPlot(server, "energy", "J", ("total", "kinetic"), NOTHING)
             self._momenta = PairPlot(server, "momentum", "SI", ("|P|", "|L|"), NO_MOMENTUM, visible=False)
@@ -78,6 +79,7 @@ class Charts:
         self._tradeoff.add(meters)
         update(self._chart, f'<div class="muslin">{self._tradeoff.svg(self._names, meters)}</div>')
         update(self._table, variant_table(self._setting, self._names, meters))
+        update(self._threads, threads_line(meters))
         update(self._sums, sums_table(self._names, meters))
         update(self._effects, effects_table(self._names, meters))
         if moved and any(meter.ms for meter in meters):

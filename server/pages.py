@@ -9,7 +9,8 @@ from jinja2 import Environment, PackageLoader, Template, select_autoescape
 
 from server.audit import audit_figures, audit_result, sentence
 from server.benchmark import conditions
-from server.figures import Figures, compare_figures, cost_figures, inline_svg
+from server.cost_figures import compare_figures, cost_figures
+from server.figures import Figures, inline_svg
 from server.study import cell_text
 from sim.studies import Cell, Result, Table
 from sim.studies.cost.measures import UNITS

@@ -63,6 +63,19 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
 
 
+def threads_line(meters: Sequence[Meter]) -> str:
+    """How many processor threads each variant's kernels use, and by which of Numba's layers they run."""
+    settings = next((meter.latest.settings for meter in meters if meter.ms), None)
+    if settings is None:
+        return ""
+    from sim.threads import LAUNCHED, threading_layer
+
+    count = min(settings.threads, LAUNCHED)
+    each = " each" if len(meters) > 1 else ""
+    layer = f", Numba's {name} layer" if (name := threading_layer()) else ""
+    return caption(f"{count} of {LAUNCHED} processor threads{each}{layer}")
+
+
 def real_time(meter: Meter) -> float | None:
     """Simulated time per time that a variant's steps take: below 1 it cannot keep up by itself."""
     if not meter.ms or meter.dt is None:

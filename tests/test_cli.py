@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import sim
-from server.cli import count_vertices, main, parse_settings
+from server.cli import main
+from server.commands.options import parse_settings
+from server.commands.scenes import count_vertices
 from sim.mesh import build_mesh
 from sim.scene import load_scene, scene_files
 from sim.simulation import StepError

@@ -9,11 +9,12 @@ from server.labels import error_text, label
 from server.lane import Frame
 from server.meter import Meter
 from server.prober import MEASURING, NO_READING, Reading
-from server.tables import sums_table, variant_table
+from server.tables import sums_table, threads_line, variant_table
 from server.tradeoff import TRAIL, Tradeoff, point
 from sim import Settings
 from sim.ledger import Ledger
 from sim.probe import LocalError
+from sim.threads import LAUNCHED, threading_layer
 
 
 def reading(error, floor=0.0, trend=""):
@@ -23,7 +24,7 @@ def reading(error, floor=0.0, trend=""):
 def meter(ms, found, dt=1 / 60):
     made = Meter()
     report = SimpleNamespace(penetrations=0, contacts=0, iterations=1, effects={})
-    made.add(Frame(steps=1, ms={"total": ms}, settings=Settings(dt=dt), report=report))
+    made.add(Frame(steps=1, ms=ms and {"total": ms}, settings=Settings(dt=dt), report=report))
     made.read()
     made.reading = found
     return made
@@ -111,6 +112,14 @@ def test_an_error_is_said_as_well_as_it_is_known(found, text):
 def test_the_table_has_the_trend_and_how_real_time_is_kept():
     table = variant_table("", ["one"], [meter(8.0, reading(1e-3, trend="↗"), dt=0.02)])
     assert "<td>2.5</td><td>0.1 % ↗</td>" in table
+
+
+def test_threads_and_their_layer_are_said_once_a_step_is_measured():
+    assert threads_line([meter(None, NO_READING)]) == ""
+    line = threads_line([meter(8.0, NO_READING), meter(8.0, NO_READING)])
+    assert f">1 of {LAUNCHED} processor threads each" in line
+    assert (layer := threading_layer()) in line
+    assert ("layer" in line) == bool(layer)  # no parallel kernel may have run yet
 
 
 def test_the_ledger_stands_under_the_energies_with_what_does_not_add_up():
