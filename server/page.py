@@ -20,7 +20,7 @@ from server.lane import Frame
 from server.palette import BRAND
 from server.panel import Panel
 from server.prober import Reading
-from server.stage import Stage
+from server.stage import Stage, between_docks, view_of
 from server.style import LEFT_WIDTH, RIGHT_WIDTH, WATCHING
 from sim.mesh import Mesh
 from sim.scene import Scene
@@ -70,7 +70,8 @@ class Page:
         def _(client: Any) -> None:
             if not guard.may_act(client.client_id):
                 client.gui.add_html(WATCHING, order=-1.0)
-            lab.post(self.stage.frame_view, client, LEFT_WIDTH + RIGHT_WIDTH)
+            # Measured now: by the time that the lab comes to it, the docks may have taken their part.
+            lab.post(self.stage.frame_view, client, between_docks(view_of(client), LEFT_WIDTH + RIGHT_WIDTH))
 
     @property
     def url(self) -> str:

@@ -17,6 +17,21 @@ LABEL, ALARM, MANY = 1.45, 1.7, 0.8
 """Size of labels, as a multiple of viser's: to be read from the back row; smaller for more than two."""
 
 
+PHONE = 576
+"""Views up to this width [CSS px] have their controls below, not beside."""
+
+
+def view_of(client: viser.ClientHandle) -> tuple[float, float]:
+    """Width and height of a client's view [CSS px]; its own word, which may be anything."""
+    return float(client.camera.image_width), float(client.camera.image_height)
+
+
+def between_docks(view: tuple[float, float], docks: float) -> tuple[float, float]:
+    """What docks of a width [CSS px] will leave of a view that was measured before there were any."""
+    width, height = view
+    return (width if width <= PHONE else max(width - docks, width / 3)), height
+
+
 class Stage:
     """Draws variants. Clears and redraws everything when another scene or number of variants is `set_up`."""
 
@@ -73,21 +88,18 @@ class Stage:
             position=(0.0, 0.0, floor - 2e-3),  # a hair below, or cloth lying on it would flicker
         )
 
-    def frame_view(self, client: viser.ClientHandle, docks: float = 0.0) -> None:
+    def frame_view(self, client: viser.ClientHandle, view: tuple[float, float] | None = None) -> None:
         """Put one client's camera where it sees all variants.
 
         Args:
             client: Whose camera.
-            docks: Width [CSS px] that docks will take off the view, where its width was measured without.
+            view: Width and height of what it sees [CSS px]; what it says of them now, if left out.
         """
         if self._framing is None or client.client_id not in self._server.get_clients():
             return
         camera = client.camera
-        width, height = (
-            float(camera.image_width),
-            float(camera.image_height),
-        )  # a client's word: may be anything
-        aspect = max(width - docks, width / 3) / height if 0 < height < np.inf else ASPECT
+        width, height = view or view_of(client)
+        aspect = width / height if 0 < height < np.inf else ASPECT
         aspect = min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
         position, target = self._framing.camera(aspect, FIELD_OF_VIEW)
         with client.atomic():

@@ -33,6 +33,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin td,.muslin th{text-align:right;padding:.1em .2em;font-weight:400}"
         ".muslin th{color:#6f675f;font-size:.88em}"
         ".muslin.many{font-size:.74em;white-space:nowrap}"
+        ".muslin.many .small,.muslin.many .bad{white-space:normal}"
         ".muslin.many td,.muslin.many th{padding:.1em 0 .1em .3em}"
         ".muslin td:first-child,.muslin th:first-child{text-align:left}"
         ".muslin.key{font-size:.74em;color:#6f675f}.muslin.key span{display:inline-block;margin-right:.8em}"

@@ -11,6 +11,7 @@ import pytest
 from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
 
 from server.lab import Lab
+from server.stage import between_docks
 from sim import SceneError
 
 
@@ -337,6 +338,32 @@ def test_stopped_variant_has_no_numbers_and_a_revived_one_says_how_far_behind_it
     wait_until(lambda: lab._bench.meters[0].ms is None and lab._bench.meters[1].ms is not None)
     lab.post(lab.set_own, 0, 0.2)
     wait_until(lambda: any("s behind" in text for text in labels(client)))
+
+
+def test_who_comes_while_the_lab_is_busy_is_framed_by_the_view_before_docks_took_their_part(lab, client):
+    """A page tells its width as it connects, and again once docks are there: these count once."""
+    busy = threading.Event()
+    lab.post(busy.wait, 20.0)
+    late = RawClient(lab.url)
+    late.look(image_width=1280)
+    wait_until(lambda: len(lab._page.server.get_clients()) == 2)
+    late.look(image_width=680)
+    wait_until(lambda: 680 in [c.camera.image_width for c in lab._page.server.get_clients().values()])
+    busy.set()
+
+    def framed():
+        sent = [m for m in late.messages if m["type"] == "SetCameraPositionMessage" and not m["initial"]]
+        return [m["position"] for m in sent]
+
+    wait_until(framed)
+    expected, _ = lab._page.stage._framing.camera(680 / 720)
+    assert framed()[-1] == pytest.approx(list(expected), rel=1e-6)
+    late.close()
+
+
+def test_a_phone_has_no_docks_beside_its_view():
+    assert between_docks((390.0, 844.0), 600.0) == (390.0, 844.0)
+    assert between_docks((1280.0, 720.0), 600.0) == (680.0, 720.0)
 
 
 def test_nonsense_camera_leaves_the_lab_running(lab, client):
