@@ -32,7 +32,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin table{width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums}"
         ".muslin td,.muslin th{text-align:right;padding:.1em .2em;font-weight:400}"
         ".muslin th{color:#6f675f;font-size:.88em}"
-        ".muslin.many{font-size:.74em;white-space:nowrap}"
+        ".muslin.many{font-size:.74em;white-space:nowrap;padding-right:1.6em}"
         ".muslin.many .small,.muslin.many .bad{white-space:normal}"
         ".muslin.many td,.muslin.many th{padding:.1em 0 .1em .3em}"
         ".muslin td:first-child,.muslin th:first-child{text-align:left}"

@@ -73,7 +73,7 @@ def threads_line(meters: Sequence[Meter]) -> str:
     count = min(settings.threads, LAUNCHED)
     each = " each" if len(meters) > 1 else ""
     layer = f", Numba's {name} layer" if (name := threading_layer()) else ""
-    return caption(f"{count} of {LAUNCHED} processor threads{each}{layer}")
+    return caption(f"{count} of {LAUNCHED} threads{each}{layer}")
 
 
 def real_time(meter: Meter) -> float | None:

@@ -117,7 +117,7 @@ def test_the_table_has_the_trend_and_how_real_time_is_kept():
 def test_threads_and_their_layer_are_said_once_a_step_is_measured():
     assert threads_line([meter(None, NO_READING)]) == ""
     line = threads_line([meter(8.0, NO_READING), meter(8.0, NO_READING)])
-    assert f">1 of {LAUNCHED} processor threads each" in line
+    assert f">1 of {LAUNCHED} threads each" in line
     assert (layer := threading_layer()) in line
     assert ("layer" in line) == bool(layer)  # no parallel kernel may have run yet
 
