@@ -116,6 +116,8 @@ class Panel:
                 if event.client_id is not None:
                     self._lab.post(self._lab.show_lines, lines.value)
 
+            self._keys = self._gui.add_html("")
+
         self._lines = lines
 
     def _setting(self, name: str, value: Any) -> Control:
@@ -138,7 +140,10 @@ class Panel:
             async def _(event: Any, action=action) -> None:
                 lab.post(action)
 
-        frame = self._gui.add_command("Frame the view", hotkey="F")
+        label, key = "Frame the view", "F"
+        frame = self._gui.add_command(label, hotkey=key)
+        keys = {key: label for label, key, _ in commands} | {key: label}
+        self._keys.content = style.keys(keys)
 
         @frame.on_trigger
         async def _(event: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -38,6 +38,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin td:first-child,.muslin th:first-child{text-align:left}"
         ".muslin.key{font-size:.74em;color:#6f675f}.muslin.key span{display:inline-block;margin-right:.8em}"
         ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
+        ".muslin.left{font-size:.77em}.muslin.left td{text-align:left}"
         ".muslin .rule>td{border-top:1px solid #d8d2c9}"
         "[role=tab]{padding:.7em .5em!important}[role=tab],[role=tab] *{font-size:12px!important}"
         ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
@@ -59,6 +60,19 @@ def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
     items = "".join(f"<li>{escape(item)}</li>" for item in tries)
     tried = f'<ul class="small">{items}</ul>' if items else ""
     return f'<div class="muslin"><p><b>{escape(title)}.</b> {escape(look_for)}</p>{tried}</div>'
+
+
+MOUSE = {"drag": "Turn the view", "right drag": "Move it", "wheel": "Zoom"}
+"""What the mouse does, as viser has it."""
+
+
+def keys(commands: Mapping[str, str]) -> str:
+    """What keys do, by key, after what the mouse does."""
+    rows = "".join(
+        f"<tr><td>{escape(key)}</td><td>{escape(what)}</td></tr>"
+        for key, what in (MOUSE | {**commands}).items()
+    )
+    return f'<div class="muslin left"><table>{rows}</table></div>'
 
 
 SHARED = "Everyone who connects shares this simulation: all see the same cloths, and each looks around alone."

@@ -361,6 +361,15 @@ def test_who_comes_while_the_lab_is_busy_is_framed_by_the_view_before_docks_took
     late.close()
 
 
+def test_the_view_tab_says_what_keys_and_mouse_do(lab, client):
+    def said():
+        return [m["props"]["content"] for m in client.messages if "Turn the view" in str(m.get("props"))]
+
+    wait_until(said)
+    for key in ("space", "N", "R", "Z", "W", "F"):
+        assert f"<td>{key}</td>" in said()[0]
+
+
 def test_a_phone_has_no_docks_beside_its_view():
     assert between_docks((390.0, 844.0), 600.0) == (390.0, 844.0)
     assert between_docks((1280.0, 720.0), 600.0) == (680.0, 720.0)
