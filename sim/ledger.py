@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,7 +117,7 @@ class Books:
     def asleep(self, energy: float) -> Books:
         """With the `energy` [J] that cloth had when it fell asleep, and no longer has."""
         flows = {**self.flows, "sleep": self.flows["sleep"] + energy}
-        return Books(self.start, flows, self.turnover + energy)
+        return replace(self, flows=flows, turnover=self.turnover + energy)
 
 
 class Tally:
