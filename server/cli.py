@@ -159,6 +159,10 @@ class Bench:
     """Time for each case of a peer [s]; accuracies and Muslin's own steps get more."""
     peers: bool = False
     """Measure other simulators, too: those of the extra `peers` that are installed."""
+    scenes: Annotated[tuple[str, ...], arg(metavar="SCENE ...")] = ()
+    """In place of sheets, step these scenes with effects forced on, as they are, and as their audit would."""
+    cold: bool = False
+    """Of scenes, measure the cold start, too, each with all kernels compiled anew."""
     json: Annotated[str | None, arg(metavar="FILE.json")] = None
     """Write the tables as JSON, with hardware and versions."""
     html: Annotated[str | None, arg(metavar="FILE.html")] = None
@@ -168,9 +172,11 @@ class Bench:
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from server.benchmark import run_bench
+        from server.benchmark import run_bench, run_scenes
 
         files = {"json": self.json, "html": self.html, "markdown": self.markdown}
+        if self.scenes:
+            return run_scenes(self.scenes, self.steps, self.cold, **files)
         return run_bench(self.sizes, self.threads or None, self.steps, self.seconds, self.peers, **files)
 
 
