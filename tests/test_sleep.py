@@ -272,7 +272,7 @@ def attack(seed, steps=12):
             twin.step()
         except sim.StepError:
             break
-        asleep = sleeper.sleeping & before
+        asleep = before & (sleeper.positions == start.positions).all(axis=1)  # all through the step
         slept, woken = slept + asleep.any(), woken + (before & ~sleeper.sleeping).any()
         assert np.abs(twin.velocities[asleep]).max(initial=0.0) <= SPEED * size
         if not asleep.any():
