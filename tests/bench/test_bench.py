@@ -56,7 +56,7 @@ def test_scenes_are_stepped_with_effects_forced_on_as_they_are_and_as_audited():
     assert rows[0]["moved by [%]"] == rows[1]["moved by [%]"] == 0.0
     assert rows[2]["moved by [%]"] < 1.0
     assert all(row["ms, median"] > 0.0 for row in rows)
-    assert all(row["steps without a list [%]"] == 100.0 for row in rows)
+    assert [row["steps without a list [%]"] for row in rows[:2]] == [0.0, 100.0]  # auto skips all of them
 
 
 def test_a_plan_has_both_sheets_at_each_size_and_number_of_threads():
