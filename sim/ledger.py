@@ -186,6 +186,8 @@ class Tally:
         damping = wrong = 0.0
         for springs in self._model.springs:
             e = springs.elements
+            if not springs.acts:
+                continue
             viscous = e.tension - e.stiffness * (e.q - e.rest)  # b q̇
             damped = float(viscous @ np.divide(viscous, e.damping, where=e.damping > 0.0, out=0.0 * viscous))
             damping += damped
