@@ -36,7 +36,7 @@ def run_bench(
     """
     from sim.bench.hardware import hardware, versions
     from sim.bench.tables import tabulate
-    from sim.export import check_outputs, write_whole
+    from sim.export import check_outputs
 
     threads = list(range(1, min(2, os.cpu_count() or 1) + 1)) if threads is None else threads
     bench.check(sizes, threads, steps, seconds)
@@ -50,14 +50,44 @@ def run_bench(
         "hardware": computer,
         "versions": versions(),
     }
-    result = tabulate(found)
+    _hand_over(tabulate(found), "steps", about, **files)
+    return 0
+
+
+def run_scenes(scenes: Sequence[str], steps: int, cold: bool, **files: str | None) -> int:
+    """The same for what effects cost whole scenes."""
+    from sim.bench.hardware import hardware, versions
+    from sim.bench.scenes import WARM, measure_scenes
+    from sim.export import check_outputs
+
+    if not WARM + 2 <= steps <= 100_000:
+        raise ValueError(f"--steps: expected {WARM + 2} to 100,000, got {steps}")
+    check_outputs(**files)
+    about: dict[str, object] = {
+        "command": shlex.join(
+            ["muslin", "bench", "--scenes", *scenes, "--steps", str(steps), *["--cold"] * cold]
+        ),
+        "date": datetime.date.today().isoformat(),
+        "hardware": hardware(),
+        "versions": versions(),
+    }
+    with Console(stderr=True).status("starting") as status:
+        told = lambda done, what: status.update(f"{done:.0%}  {what}")  # noqa: E731
+        result = measure_scenes(scenes, steps, cold, told)
+    _hand_over(result, "scenes", about, **files)
+    return 0
+
+
+def _hand_over(result: Result, bench: str, about: dict[str, object], **files: str | None) -> None:
+    """Print a result with what it was measured by, and write it to the files that are given."""
+    from sim.export import write_whole
+
     result = replace(result, notes=(*result.notes, *conditions(about)))
     show(result)
-    write(result, {"bench": "steps", **about}, files.get("json"), files.get("html"))
+    write(result, {"bench": bench, **about}, files.get("json"), files.get("html"))
     if (path := files.get("markdown")) is not None:
         text = as_markdown(result).encode()
         write_whole(path, lambda stream: stream.write(text))
-    return 0
 
 
 def _run(cases: list[bench.Case]) -> list[tuple[bench.Case, bench.Measured]]:

@@ -21,8 +21,11 @@ FIND = "Find settings"
 LARGEST = 1e6
 """Of an amount; nobody means more."""
 
+CLOTHS = ("first cloth", "second cloth", "third cloth", "fourth cloth")
+"""Whose state and settings are measured from, from left to right."""
+
 EXPLANATION = (
-    "Measures integrators, time steps, Newton iterations and tolerances from where the first cloth is now, "
+    "Measures integrators, time steps, Newton iterations and tolerances from where one of the cloths is now, "
     "and sets, in all of them, those that meet the budget and that none other beats."
 )
 
@@ -41,6 +44,7 @@ class BudgetTab:
         gui.add_html(caption(EXPLANATION))
         self._kind = gui.add_dropdown("budget", (TIME, ERROR), initial_value=TIME)
         self._most = gui.add_number("at most", 5.0, min=0.0, step=None)
+        self._cloth = gui.add_dropdown("for the", CLOTHS, initial_value=CLOTHS[0])
         self._find = gui.add_button_group("find", (FIND,))
         self._answer = gui.add_html("")
 
@@ -48,7 +52,13 @@ class BudgetTab:
         """Have the lab do what is asked for here."""
         guard.watch(self._most, amount)
         panel.act(self._kind, (TIME, ERROR), lambda _: None)
-        panel.act(self._find, (FIND,), lambda _: lab.find_settings(**self.asked()))
+        panel.act(self._cloth, CLOTHS, lambda _: None)
+        panel.act(self._find, (FIND,), lambda _: lab.find_settings(self.index, **self.asked()))
+
+    @property
+    def index(self) -> int:
+        """Which cloth the budget is for, from the left."""
+        return CLOTHS.index(self._cloth.value)
 
     def asked(self) -> dict[str, float]:
         """The budget, as `sim.budget.choose_settings` takes it."""

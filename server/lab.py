@@ -264,14 +264,19 @@ class Lab:
             self._history.note(self._comparison, "safe settings")
             self._change_on_page(comparison, "made safe")
 
-    def find_settings(self, **budget: float) -> None:
-        """Find settings that meet a budget, as `sim.budget.choose_settings` takes it, and set them.
+    def find_settings(self, index: int = 0, **budget: float) -> None:
+        """Find settings with which a variant meets a budget, and set them in all of them.
 
-        Time stands still meanwhile, so that nothing disturbs what is timed.
+        The budget is as `sim.budget.choose_settings` takes it. Time stands still meanwhile, so that nothing
+        disturbs what is timed.
         """
         tab, playing, fixed = self._page.charts.budget, self._bench.playing, (self._comparison.by,)
         if not self._bench.ready or not budget:
             tab.say("There is nothing to measure yet." if budget else "Give a number above 0.")
+            return
+        count = self._comparison.count
+        if index >= count:
+            tab.say(f"There {'is one cloth' if count == 1 else f'are {count} cloths'} only: choose another.")
             return
 
         def work(probe: Any, state: Any) -> Any:
@@ -286,14 +291,15 @@ class Lab:
             if isinstance(choice, Exception):
                 tab.say(str(choice) or "A setting was changed meanwhile; ask again.")
                 return
-            tab.say(choice.sentence)
+            name = self._comparison.short_name(index)
+            tab.say(f"{name}: {choice.sentence}" if count > 1 else choice.sentence)
             for name, value in choice.changes.items():
                 self.set_shared(name, value)
             self._page.panel.show_comparison(self._comparison)
 
         self.pause()
         tab.say("measuring …")
-        self._prober.ask(self._bench, 0, work, take)
+        self._prober.ask(self._bench, index, work, take)
 
     def compare_by(self, by: str) -> None:
         """Have the variants differ in another setting; starts again."""

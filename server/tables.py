@@ -59,7 +59,7 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
         if wrong := what_is_wrong(meter.latest.settings):
             phrase = escape(f"{ON_PURPOSE}: {wrong}")
             rows.append(f'<tr><td colspan="5" class="small">{phrase}</td></tr>')
-    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "inside"))
+    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "in obstacles"))
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
 
 

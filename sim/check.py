@@ -10,7 +10,6 @@ import numpy as np
 
 from sim.clearance import clearance_warnings, crossing_warnings
 from sim.mesh import Mesh, build_mesh
-from sim.repair import connected
 from sim.scene import Scene
 from sim.settings import Settings
 
@@ -33,11 +32,9 @@ def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
 
 def _part_warnings(mesh: Mesh) -> list[str]:
     """Where a piece of cloth is in parts that nothing joins, which is often a seam that was not welded."""
-    n = len(mesh.vertices)
-    part = connected(n, *mesh.edges.astype(np.int64).T)
     warnings = []
     for piece in range(int(mesh.pieces.max(initial=-1)) + 1):
-        count = len(np.unique(part[mesh.pieces == piece]))
+        count = len(np.unique(mesh.parts[mesh.pieces == piece]))
         if count > 1:
             warnings.append(f"cloth[{piece}] is in {count:,} parts that nothing joins")
     return warnings

@@ -277,7 +277,7 @@ class Told:
             found[name] += self._streak(name, found[name], report)
         found["contact"] = _contact(settings, model, report, obstacles, there)
         found["integrator"] = _integrator(settings, report, limit)
-        found["sleep"] = "off: sleep is off" if settings.sleep == "off" else "awake"
+        found["sleep"] = _sleep(settings, model, report)
         return found
 
     def asleep(self, settings: Settings, obstacles: Sequence[str]) -> dict[str, str]:
@@ -447,6 +447,14 @@ def _continuous(settings: Settings, model: Model, report: StepReport, felt: bool
     if report.sweeps or report.near_obstacles:
         return f"ran: {report.hits} kept from meeting" if report.hits else "ran"
     return "skipped: all goes less far than half the way to what is nearest"
+
+
+def _sleep(settings: Settings, model: Model, report: StepReport) -> str:
+    if settings.sleep == "off":
+        return "off: sleep is off"
+    if not report.sleeping:
+        return "awake"
+    return f"{report.sleeping} of {model.mesh.parts.max() + 1} parts of the cloth sleep"
 
 
 def _integrator(settings: Settings, report: StepReport, limit: float | None) -> str:

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,7 +117,7 @@ class Books:
     def asleep(self, energy: float) -> Books:
         """With the `energy` [J] that cloth had when it fell asleep, and no longer has."""
         flows = {**self.flows, "sleep": self.flows["sleep"] + energy}
-        return Books(self.start, flows, self.turnover + energy)
+        return replace(self, flows=flows, turnover=self.turnover + energy)
 
 
 class Tally:
@@ -186,6 +186,8 @@ class Tally:
         damping = wrong = 0.0
         for springs in self._model.springs:
             e = springs.elements
+            if not springs.acts:
+                continue
             viscous = e.tension - e.stiffness * (e.q - e.rest)  # b q̇
             damped = float(viscous @ np.divide(viscous, e.damping, where=e.damping > 0.0, out=0.0 * viscous))
             damping += damped

@@ -7,12 +7,13 @@ chains that have edges only. NumPy alone, so that a scene can be checked and sho
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from sim import given
-from sim.repair import repair_triangles
+from sim.repair import connected, repair_triangles
 from sim.rotation import rotation_matrix
 from sim.scene import MAX_VERTICES, Arrays, Equilateral, Grid, MeshFile, Scene, SceneError
 from sim.shells import Shell, read_shells
@@ -60,6 +61,12 @@ class Mesh:
     def several(self) -> bool:
         """Whether there are several pieces of cloth."""
         return bool(self.pieces.any())
+
+    @cached_property
+    def parts(self) -> np.ndarray:
+        """(n,) the part of the cloth that each vertex is of: all that edges, and so springs, join."""
+        part = connected(len(self.vertices), *self.edges.astype(np.int64).T)
+        return np.unique(part, return_inverse=True)[1]
 
     @property
     def altitudes(self) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.contact.contacts import Contacts
+from sim.contact.contacts import Contacts, groups
 from sim.contact.gap import GapSprings
 from sim.damping import damping_ratios
 from sim.effects import SPRINGS
@@ -35,7 +35,7 @@ class Model:
     Attributes:
         masses: (n,) [kg].
         inverse_masses: (n,) [1/kg], zero for fixed vertices.
-        free: (n,) bool, false for pinned vertices.
+        free: (n,) bool, false for vertices that are pinned or held.
         axis: The coordinate, 0 to 2, that the scene keeps as it is; None where all may move.
         free_mass: Sum of the masses of free vertices [kg].
         piece_masses: (pieces,) [kg].
@@ -52,8 +52,9 @@ class Model:
         self.mesh = mesh
         self.settings = settings
         n = len(mesh.vertices)
-        self.free = np.ones(n, dtype=bool)
-        self.free[mesh.pinned] = False
+        self._unpinned = np.ones(n, dtype=bool)
+        self._unpinned[mesh.pinned] = False
+        self.free = self._unpinned
         self.axis = mesh.axis
         self._forces = np.zeros((n, 3))
         self.wind: Wind | None = None
@@ -84,10 +85,22 @@ class Model:
         self.damping_ratios = damping_ratios(settings)
         self._set_wind()
 
-    def _set_masses(self) -> None:
-        self.masses = vertex_masses(self.mesh, self.settings.mass, self.settings.density)
+    def hold(self, held: np.ndarray) -> None:
+        """Have the vertices `held` (n,) bool stay where they are, as pinned ones do, and no others."""
+        free = self._unpinned & ~held if held.any() else self._unpinned
+        if (free == self.free).all():
+            return
+        self.free = free
+        self._set_free_masses()
+        self.preconditioner = build_preconditioner(self.mesh, self.free, self.matrix)
+
+    def _set_free_masses(self) -> None:
         self.inverse_masses = np.where(self.free, 1.0 / self.masses, 0.0)
         self.free_mass = float(self.masses[self.free].sum())
+
+    def _set_masses(self) -> None:
+        self.masses = vertex_masses(self.mesh, self.settings.mass, self.settings.density)
+        self._set_free_masses()
         self.piece_masses = np.bincount(self.mesh.pieces, self.masses)
 
     def _set_springs(self, known: dict[str, Springs] | None = None) -> None:
@@ -173,17 +186,13 @@ class Model:
             (pieces,) the group of pieces joined by contacts that each one is in, and the groups' masses [kg],
             infinite where a vertex is pinned or touches an obstacle, or the air holds it.
         """
-        group, node, pieces = np.arange(len(self.piece_masses)), contacts.node, self.mesh.pieces
-        acts = contacts.weight != 0.0
-        own = pieces[node[np.arange(len(node)), acts.argmax(axis=1)]]
-        joins = acts & (pieces[node] != own[:, None])
-        joined = np.unique(np.column_stack([own[np.nonzero(joins)[0]], pieces[node][joins]]), axis=0)
-        for a, b in joined:
-            group[group == group[b]] = group[a]
+        pieces = self.mesh.pieces
+        group = groups(len(self.piece_masses), contacts.joins(pieces))
         masses = np.bincount(group, self.piece_masses, len(group))
-        masses[group[pieces[self.mesh.pinned]]] = np.inf
-        outside = np.abs(contacts.weight.sum(axis=1)) > OUTSIDE
-        masses[group[own[outside]]] = np.inf
+        masses[group[pieces[~self.free]]] = np.inf
+        outside = contacts.only(np.abs(contacts.weight.sum(axis=1)) > OUTSIDE)
+        own = outside.node[np.arange(len(outside.node)), (outside.weight != 0.0).argmax(axis=1)]
+        masses[group[pieces[own]]] = np.inf
         if self.wind is not None:
             masses[:] = np.inf
         return group, masses

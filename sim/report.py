@@ -63,6 +63,7 @@ class StepReport:
         looks: Times that the pairs on a list were looked at.
         sweeps: Times that it was looked whether they meet on the way.
         near_obstacles: Those but meshes that could not be shown to be out of reach.
+        sleeping: Parts of the cloth that sleep at the end of the step.
         asleep: Whether the step was left out, as all cloth sleeps: all else is of the last one that was not.
         discarded: Kinetic energy that cloth had when it fell asleep at the end of the step [J].
         costs: Milliseconds by effect, of the work that is done for it alone.
@@ -102,6 +103,7 @@ class StepReport:
     looks: int = 0
     sweeps: int = 0
     near_obstacles: set[str] = field(default_factory=set)
+    sleeping: int = 0
     asleep: bool = False
     discarded: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)

@@ -508,8 +508,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             "Whether cloth that has come to rest is left out of steps until something could move it.",
             choices=lambda: {
                 "off": "every step is taken",
-                "auto": "none while all cloth is still: slower than 1e-5 of its size per second for half a "
-                "second, with nothing that drives it",
+                "auto": "without parts that are still: slower than 1e-5 of the cloth's size per second for "
+                "half a second, with nothing that drives or touches them",
             },
             label="sleep",
             cost="a step at rest costs next to nothing",

@@ -28,7 +28,7 @@ from sim.report import StepError, StepReport
 from sim.safe import suspect
 from sim.scene import Scene, load_scene
 from sim.settings import Settings, change
-from sim.sleep import AFTER, driven, still
+from sim.sleep import Rest, driven
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
 from sim.tangles import clear_start, surfaces_of
@@ -54,7 +54,7 @@ class Snapshot:
     memory: dict[str, np.ndarray]
     injected: float
     books: Books | None = None
-    still: float = 0.0
+    still: np.ndarray | None = None
 
 
 class Simulation:
@@ -94,9 +94,8 @@ class Simulation:
         self._books: Books | None = None
         self._edges: Limit | None = None
         self._told = Told()
-        self._still = 0.0
+        self._rest = Rest(self.mesh.parts, float(np.ptp(self.mesh.rest_vertices, axis=0).max()))
         self._last = StepReport()
-        self._size = float(np.ptp(self.mesh.rest_vertices, axis=0).max())
         self.model.forget(self._positions)
 
     def _start(self) -> tuple[np.ndarray, str]:
@@ -231,11 +230,19 @@ class Simulation:
     @property
     def asleep(self) -> bool:
         """Whether all cloth sleeps: steps are left out until something could move it."""
-        return self.settings.sleep == "auto" and self._still >= AFTER
+        return bool(self.sleeping.all())
+
+    @property
+    def sleeping(self) -> np.ndarray:
+        """(n,) bool, which vertices are of parts of the cloth that sleep."""
+        if self.settings.sleep == "off":
+            return np.zeros(len(self._positions), dtype=bool)
+        return self._rest.asleep[self._rest.part]
 
     def _go_over(self, ramp: Ramp) -> None:
         """Put the settings of `ramp` in force, and book the energy that this puts in."""
-        self._still = 0.0
+        self._rest.wake()
+        self.model.hold(self.sleeping)
         before = sum(self.energy().values())
         self.model.apply(ramp.settings, self._positions)
         self._ramp = ramp
@@ -266,7 +273,7 @@ class Simulation:
 
     def stop(self) -> None:
         """Take all velocity off the cloth, and book it as a change of settings."""
-        self._still = 0.0
+        self._rest.wake()
         self._injected -= self.energy()["kinetic"]
         self._velocities = np.zeros_like(self._velocities)
         self._previous = None
@@ -284,7 +291,7 @@ class Simulation:
             memory=self.model.memory(),
             injected=self._injected,
             books=self._books,
-            still=self._still,
+            still=self._rest.still,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -292,7 +299,10 @@ class Simulation:
         self.model.apply(snapshot.ramp.settings, snapshot.positions)
         self._ramp, self._time, self._injected = snapshot.ramp, snapshot.time, snapshot.injected
         self._positions, self._velocities = snapshot.positions.copy(), snapshot.velocities.copy()
-        self._previous, self._limit, self._still = snapshot.previous, None, snapshot.still
+        self._previous, self._limit = snapshot.previous, None
+        self._rest.wake()
+        if snapshot.still is not None:
+            self._rest.still = snapshot.still
         self.contact.touched = snapshot.touched
         self.model.restore_memory(snapshot.memory, self._positions)
         if self._books is not None:
@@ -305,21 +315,27 @@ class Simulation:
         Raises:
             StepError: where the step cannot be done; the state is as it was.
         """
+        report, ramp, injected, still = StepReport(), self._ramp, self._injected, self._rest.still
+        if self.sleeping.any():
+            self._rest.rouse(self._driven(self._time))
         if self.asleep:
-            if not driven(self.settings, self.contact.obstacles, self._time, self._positions):
-                return self._sleep()
-            self._still = 0.0
-        report, ramp, injected = StepReport(), self._ramp, self._injected
+            return self._sleep()
+        self.model.hold(self.sleeping)
         self.model.costs = report.costs
         try:
             if not ramp.over:
                 self._go_over(ramp.after(self.settings.dt))
             with processor_threads(self.settings.threads):
                 solution, touch = self._advance(report)
+                while self.sleeping.any() and self._rest.rouse(self._rest.touched(self.contact.joins)):
+                    self.model.hold(self.sleeping)
+                    report = StepReport(ms=report.ms, costs=report.costs)
+                    solution, touch = self._advance(report)
         except StepError:
             if ramp is not self._ramp:
                 self._go_over(ramp)
                 self._injected = injected
+            self._rest.still = still
             raise
         before = self._velocities, self._time
         report.energy_injected, self._injected = self._injected, 0.0
@@ -331,26 +347,37 @@ class Simulation:
             if self.scene.obstacle and self.settings.obstacles != "off":
                 depths = self.contact.depths(self._time, self._positions, self.settings)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
-            report.effects = self._effects(report)
             if self.settings.sleep == "auto":
-                self._rest(*before, report)
+                self._settle(*before, report)
+            report.effects = self._effects(report)
         self._last = report
         return report
 
-    def _rest(self, before: np.ndarray, time: float, report: StepReport) -> None:
-        """Count for how long cloth is still, from its velocities `before` a step; it may fall asleep."""
-        h = self.settings.dt
-        calm = self._ramp.over and still(before, self._velocities, h, self._size)
-        if not calm or driven(self.settings, self.contact.obstacles, time, self._positions):
-            self._still = 0.0
+    def _driven(self, time: float) -> np.ndarray:
+        """(parts,) bool, which parts of the cloth something may move in the step from `time` [s]."""
+        return driven(self.settings, self.contact.obstacles, time, self._positions, self._rest.part)
+
+    def _settle(self, before: np.ndarray, time: float, report: StepReport) -> None:
+        """Count for how long cloth is still, from its velocities `before` a step; some may fall asleep."""
+        if not self._ramp.over:
+            self._rest.wake()
             return
-        self._still += h
+        awake = ~self.sleeping
+        self._rest.after(before, self._velocities, self.settings.dt, self._driven(time), self.contact.joins)
+        report.sleeping = int(np.count_nonzero(self._rest.asleep))
+        falls = self.sleeping & awake
+        if not falls.any():
+            return
+        energy = self.energy()["kinetic"]
+        self._velocities = np.where(falls[:, None], 0.0, self._velocities)
+        report.discarded = energy - self.energy()["kinetic"]
+        if self._previous is not None:
+            x, v = self._previous
+            self._previous = np.where(falls[:, None], self._positions, x), np.where(falls[:, None], 0.0, v)
         if self.asleep:
-            report.discarded = self.energy()["kinetic"]
-            self._velocities, self._previous = np.zeros_like(self._velocities), None
             self.contact.touched = self.contact.touched.still()
-            if self._books is not None:
-                self._books = self._books.asleep(report.discarded)
+        if self._books is not None:
+            self._books = self._books.asleep(report.discarded)
 
     def _sleep(self) -> StepReport:
         """Let time pass."""

@@ -1,10 +1,12 @@
 """Effects: how they are chosen, what a step says of them, and that auto skips nothing that acts."""
 
+import time
+
 import numpy as np
 import pytest
 
 import sim
-from sim.effects import EFFECTS, chosen, state, switch
+from sim.effects import EFFECTS, OBSTACLE, chosen, effects_with, state, switch
 from sim.scene import scene_files
 from sim.settings import Settings
 from tests.worlds import ball, chain, grid, irregular, scene
@@ -233,6 +235,29 @@ def test_a_piece_feels_itself_and_other_pieces_each_by_its_own_switch(upper):
     assert not report.felt
 
 
+def test_lists_of_pairs_are_booked_for_whom_they_are_about_whoever_asks_for_them(monkeypatch):
+    """Continuous detection asks for one that holds for the way; it takes 20 ms here."""
+    from sim.contact.broad import BroadPhase
+
+    made = BroadPhase.candidates
+
+    def slow(self, *about):
+        time.sleep(0.02)
+        return made(self, *about)
+
+    world = sim.Simulation(scene(STRIPS, self_collision="auto"))
+    world.step()
+    world.place(world.positions, 3.0 * np.random.default_rng(0).standard_normal(world.positions.shape))
+    world.step()
+    monkeypatch.setattr(BroadPhase, "candidates", slow)
+    world.place(world.positions, world.velocities)
+    report = world.step()
+    assert report.lists >= 2  # one of them at the start of the step
+    assert report.costs["continuous_detection"] < 20.0
+    shares = sum(report.costs.get(name, 0.0) for name in ("self_collision", "cloth_collision", "edge_edge"))
+    assert shares >= 20.0 * report.lists
+
+
 def test_one_piece_alone_has_no_other_to_feel():
     words = sim.Simulation(scene(grid(), cloth_collision="auto")).step().effects["cloth_collision"]
     assert words == "skipped: there is one piece"
@@ -375,12 +400,16 @@ class Pair:
         self.auto, self.forced = (sim.Simulation(made, **settings) for _ in range(2))
         self.skipped = 0
 
-    def step(self):
-        """Take a step with both; the forced one from the other's state, with no list of its own."""
+    def step(self, forced=None):
+        """Take a step with both; the forced one from the other's state, with no list of its own.
+
+        `forced` are the effects that it looks at in full, all that can be where left out.
+        """
         start = self.auto.snapshot()
         self.forced.restore(start)
-        forced = {name: "on" for name in FORCED if self.auto.effects[name] != "off"}
-        self.forced.update(**forced)
+        for name in FORCED if forced is None else forced:
+            if self.auto.effects[name] != "off":
+                self.forced.switch(**switch(name, "on", self.forced.settings))
         report, all_of_it = self.auto.step(), self.forced.step()
         assert (report.contacts, report.hits, report.penetrations, report.substeps) == (
             all_of_it.contacts,
@@ -392,6 +421,8 @@ class Pair:
         assert (self.auto.velocities == self.forced.velocities).all()
         skipped = {name for name, words in report.effects.items() if words.startswith("skipped")}
         assert not skipped & all_of_it.felt.keys()
+        depths = self.auto.scene.obstacle_labels if all_of_it.penetrations else []
+        assert len(depths) == 0 or not {OBSTACLE + label for label in depths} <= skipped
         self.skipped += len(skipped)
 
 
@@ -456,6 +487,9 @@ def adversary(seed):
     random = np.random.default_rng(seed)
     size = random.uniform(0.2, 0.5)
     cloth = [grid((size, size), (7, 7), position=random.uniform(-0.3, 0.3, 3).tolist())]
+    if random.random() < 0.3:  # bare edges beside the sheet: edges alone can meet
+        ends = np.asarray(cloth[0]["position"]) + random.uniform(-0.2, 0.2, (2, 3))
+        cloth.append(chain(ends.tolist(), [0.01, 0.01]))
     if random.random() < 0.5:
         turned = {
             "position": random.uniform(-0.3, 0.3, 3).tolist(),
@@ -518,8 +552,12 @@ def attack(seed, steps=6):
             common = random.uniform(-1, 1, 3) * 10 ** random.uniform(-2, 1.5)
             velocities = random.normal(0, speed, pair.auto.positions.shape) + common
             pair.auto.place(pair.auto.positions + random.normal(0, 1e-3, velocities.shape), velocities)
+        can = [name for name, effect in effects_with(pair.auto.scene.obstacle_labels).items() if effect.on]
+        some = random.choice(
+            can, random.integers(1, len(can)), replace=False
+        )  # each alone, and some together
         try:
-            pair.step()
+            pair.step(None if k % 2 else some)
         except sim.StepError:
             return pair.skipped
     return pair.skipped

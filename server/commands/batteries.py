@@ -57,13 +57,19 @@ class Bench:
     """Time for each case of a peer [s]; accuracies and Muslin's own steps get more."""
     peers: bool = False
     """Measure other simulators, too: those of the extra `peers` that are installed."""
+    scenes: Annotated[Texts, arg(metavar="SCENE ...")] = ()
+    """In place of sheets, step these scenes with effects forced on, as they are, and as their audit would."""
+    cold: bool = False
+    """Of scenes, measure the cold start, too, each with all kernels compiled anew."""
     markdown: Annotated[str | None, arg(metavar="FILE.md")] = None
     """Write the tables as Markdown, with hardware, versions, date and command."""
     files: Inline[Files] = field(default_factory=Files)
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from server.benchmark import run_bench
+        from server.benchmark import run_bench, run_scenes
 
         files = {"json": self.files.json, "html": self.files.html, "markdown": self.markdown}
+        if self.scenes:
+            return run_scenes(self.scenes, self.steps, self.cold, **files)
         return run_bench(self.sizes, self.threads or None, self.steps, self.seconds, self.peers, **files)

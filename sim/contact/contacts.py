@@ -83,6 +83,13 @@ class Contacts(NamedTuple):
         """Those of them that the mask or the indices `which` pick."""
         return Contacts(*(array[which] for array in self))
 
+    def joins(self, label: np.ndarray) -> np.ndarray:
+        """(k, 2) each two labels, out of those of the vertices (n,), that a contact joins."""
+        acts = self.weight != 0.0
+        own = label[self.node[np.arange(len(self.node)), acts.argmax(axis=1)]]
+        across = acts & (label[self.node] != own[:, None])
+        return np.unique(np.column_stack([own[np.nonzero(across)[0]], label[self.node][across]]), axis=0)
+
     def or_else(self, others: Contacts, lack: np.ndarray, others_lack: np.ndarray) -> Contacts:
         """These, each replaced by that of the `others` with its key, if there is one and it lacks less [m].
 
@@ -140,6 +147,23 @@ class Touch(NamedTuple):
         pressed, slip = self.of(keys)
         return pressed / max(h, float(self.lasted)), slip
 
+    def and_also(self, others: Touch) -> Touch:
+        """This, and what the `others` remember that it does not, as of contacts that force has not left."""
+        others = others.only(~np.isin(others.key, self.key))
+        if not len(others.key):
+            return self
+        if not len(self.key):
+            return others
+        pressed = others.pressed * (self.lasted / others.lasted)  # by the same force
+        both = zip(self[:3], (others.key, pressed, others.slip), strict=True)
+        key, pressed, slip = (np.concatenate(pair) for pair in both)
+        order = np.argsort(key)
+        return Touch(key[order], pressed[order], slip[order], self.lasted)
+
+    def only(self, which: np.ndarray) -> Touch:
+        """Those (t,) bool of them."""
+        return Touch(self.key[which], self.pressed[which], self.slip[which], self.lasted)
+
     def still(self) -> Touch:
         """The same, with no slip."""
         return self._replace(slip=np.zeros_like(self.slip))
@@ -151,6 +175,14 @@ class Touch(NamedTuple):
         place = np.searchsorted(self.key, keys).clip(0, len(self.key) - 1)
         known = self.key[place] == keys
         return np.where(known, self.pressed[place], 0.0), np.where(known, self.slip[place], 0.0)
+
+
+def groups(count: int, joins: np.ndarray) -> np.ndarray:
+    """(count,) a number for each of so many that is the same for all that `joins` (k, 2) join."""
+    group = np.arange(count)
+    for a, b in joins:
+        group[group == group[b]] = group[a]
+    return group
 
 
 UNTOUCHED = Touch(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros(()))

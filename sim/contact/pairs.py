@@ -7,6 +7,7 @@ speed.
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -85,6 +86,7 @@ class Pairs:
         lists: How many lists were made.
         looks: How often the pairs were looked at: where they are, or whether they meet.
         sweeps: How often it was looked whether they meet.
+        listing: Time that lists took [s], added up.
         asked: Times a pair was asked whether it meets; for whoever takes a whole step to set to zero.
         reached: (parts, 2) bool, with what partners, and of which kind, bounds could not show that all pairs
             are out of reach; for whoever takes a whole step to set to False.
@@ -115,7 +117,7 @@ class Pairs:
         self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
         ends = mesh.rest_vertices[mesh.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
-        self.asked = 0
+        self.asked, self.listing = 0, 0.0
         self.forget()
 
     @property
@@ -228,11 +230,13 @@ class Pairs:
 
     def _renew(self, end: np.ndarray) -> Candidates:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""
+        begin = perf_counter()
         quiet = np.abs(end - self._start).max() < QUIET * self.edge
         skin = (QUIET_SKIN if quiet else SKIN) * self.edge
         self._list = self._broad.candidates(self._start, end, skin, self._reach)
         self.lists += 1
         self._sort(self._list)
+        self.listing += perf_counter() - begin
         return self._list
 
     def _sort(self, pairs: Candidates) -> None:

@@ -57,6 +57,8 @@ MOST_FAILSAFES = 4
 MOST_TURNS = 4
 """Turns of holding back what meets, and what meets that, before all vertices are."""
 
+NO_JOINS = np.zeros((0, 2), dtype=np.int64)
+
 Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray], Solution]
 
 
@@ -86,16 +88,18 @@ class Pipeline:
     Attributes:
         obstacles: Of the scene.
         touched: What the contacts of the last step remember.
+        joins: (k, 2) parts of the cloth that contacts joined in the last step, where some of it may sleep.
         booked: Whether a ledger is kept; then `parts` has the books of each part of the last step.
     """
 
     def __init__(self, scene: Scene, model: Model) -> None:
         self.obstacles = Obstacles(scene, model.mesh.shells)
-        self._model = model
+        self._model, self._unpinned = model, model.free
         first_key = len(model.mesh.vertices) * len(self.obstacles.parts)
         self._faces = Faces(model.mesh, model.free, self.obstacles, first_key)
         self._pairs: Pairs | None = None
         self.booked, self.parts = False, []
+        self.joins, self._joins, self._resting = NO_JOINS, [NO_JOINS], []
         self.forget()
 
     def forget(self) -> None:
@@ -120,7 +124,7 @@ class Pipeline:
         """
         response = self._response(settings)
         pairs = self._pairs_for(settings)
-        self.parts = []
+        self.parts, self._joins, self._resting = [], [NO_JOINS], []
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
             pairs.reached[:], pairs.felt[:] = False, 0
@@ -129,7 +133,29 @@ class Pipeline:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
             report.felt = self._by_effect(pairs.felt)
             report.looked = self._by_effect(np.where(pairs.reached, pairs.counts, 0))
-        return end
+        self.joins, (solution, touched) = np.unique(np.concatenate(self._joins), axis=0), end
+        if self._resting:
+            resting = self.touched.only(np.isin(self.touched.key, np.concatenate(self._resting)))
+            touched = touched.and_also(resting.still())
+        return solution, touched
+
+    def _acting(self, contacts: Contacts, way: _Way) -> Contacts:
+        """Those that can move something within the scene's plane; what parts they join is noted.
+
+        What joins sleeping parts, or holds one up, moves nothing, and is what it was.
+        """
+        contacts = contacts.confined(self._model.axis, way.x)
+        if way.settings.sleep == "off" or not len(contacts.key):
+            return contacts
+        parts = self._model.mesh.parts
+        if parts.any():
+            self._joins.append(contacts.joins(parts))
+        free = self._model.free
+        if free is self._unpinned:
+            return contacts
+        moves = ((contacts.weight != 0.0) & free[contacts.node]).any(axis=1)
+        self._resting.append(contacts.key[~moves])
+        return contacts.only(moves)
 
     def _by_effect(self, pairs: np.ndarray) -> dict[str, int]:
         """Numbers of pairs (parts, 2), as `Pairs` has them, by effect, where there are any."""
@@ -273,7 +299,7 @@ class Pipeline:
             return None
         pairs = self._pairs
         if pairs is None or pairs.feels != feels or pairs.solid is not felt.solid:
-            pairs = self._pairs = Pairs(mesh, self._model.free, felt.solid, feels, self._faces.last_key)
+            pairs = self._pairs = Pairs(mesh, self._unpinned, felt.solid, feels, self._faces.last_key)
         forced = "on" in (s.self_collision, s.cloth_collision, s.edge_edge, s.obstacles)
         pairs.exhaustive = forced or bool(felt.forced.any())
         return pairs
@@ -300,10 +326,10 @@ class Pipeline:
         about = way.x, way.before, way.after, s.dt, s.thickness
         if not self.obstacles.felt(s).which.any():
             self._faces.begin(*about, None)
-            return near.confined(self._model.axis, way.x)
+            return self._acting(near, way)
         with report.spent("obstacles"):
             near = near.and_also(self._faces.begin(*about, self._near(way, way.x)))
-        return near.confined(self._model.axis, way.x)
+        return self._acting(near, way)
 
     @staticmethod
     def _share(report: StepReport, pairs: Pairs, ms: float) -> None:
@@ -321,10 +347,15 @@ class Pipeline:
         """Pairs, and faces and obstacles, that meet on the way to `end`."""
         if way.settings.contact == "none" or way.settings.detection == "static":
             return NO_CONTACTS
-        with way.report.spent("continuous_detection"):
+        report, listed = way.report, 0.0 if pairs is None else pairs.listing
+        with report.spent("continuous_detection"):
             hits = NO_CONTACTS if pairs is None else pairs.hits(end)
             hits = hits.and_also(self._faces.hits(end, self._near(way, end)))
-        return hits.confined(self._model.axis, way.x)
+        if pairs is not None and pairs.listing > listed:  # a list serves static detection just as well
+            made = 1e3 * (pairs.listing - listed)
+            report.costs["continuous_detection"] -= made
+            self._share(report, pairs, made)
+        return self._acting(hits, way)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -335,9 +366,9 @@ class Pipeline:
             shapes = self._near(way, end)
             if shapes is None:
                 return NO_CONTACTS
-            path = way.x, end, self._model.free, s.dt
+            path = way.x, end, self._unpinned, s.dt
             about = shapes, way.before, way.after, *path, s.thickness, s.detection == "continuous"
-            return detect(*about).confined(self._model.axis, way.x)
+            return self._acting(detect(*about), way)
 
     @staticmethod
     def _fitted(known: Contacts, more: Contacts, end: np.ndarray, report: StepReport) -> Contacts:

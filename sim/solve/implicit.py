@@ -160,7 +160,8 @@ def backward_euler(
             way = step - drift, descent
             step = drift + _line_search(model, contacts, x_hat, v_hat, velocities + drift, h, *way)
         velocities = velocities + step
-        shares = contacts.shares(x_hat + h * velocities, velocities) if booked else None
+        last = small or newton == settings.newton or not step.any()  # of those before, nobody reads shares
+        shares = contacts.shares(x_hat + h * velocities, velocities) if booked and last else None
         small = not contacts.engage(x_hat + h * velocities, settings.tolerance) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)

@@ -10,6 +10,7 @@ from server.benchmark import as_markdown, conditions
 from server.cli import main
 from sim import bench
 from sim.bench.peers import MUSLIN, PEERS
+from sim.bench.scenes import measure_scenes
 from sim.bench.sheet import KINDS
 from sim.bench.tables import tabulate
 from sim.studies import Result, Table
@@ -46,6 +47,16 @@ def measured(monkeypatch):
     monkeypatch.setattr("sim.bench.process.measure_apart", measure)
     monkeypatch.setattr("sim.bench.peers.Peer.missing", ())
     return asked
+
+
+def test_scenes_are_stepped_with_effects_forced_on_as_they_are_and_as_audited():
+    (table,) = measure_scenes(("oscillator",), 8).tables
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    assert [row["effects"].split(":")[0] for row in rows] == ["on", "auto", "audited"]
+    assert rows[0]["moved by [%]"] == rows[1]["moved by [%]"] == 0.0
+    assert rows[2]["moved by [%]"] < 1.0
+    assert all(row["ms, median"] > 0.0 for row in rows)
+    assert [row["steps without a list [%]"] for row in rows[:2]] == [0.0, 100.0]  # auto skips all of them
 
 
 def test_a_plan_has_both_sheets_at_each_size_and_number_of_threads():

@@ -147,7 +147,7 @@ def labels(client):
 
 
 def test_labels_say_what_was_measured(lab, client):
-    wait_until(lambda: "penalty\n1.0 ms · – %\n0 inside" in labels(client))
+    wait_until(lambda: "penalty\n1.0 ms · – %\n0 vertices in obstacles" in labels(client))
 
 
 def test_scene_words_are_no_html(lab, client):

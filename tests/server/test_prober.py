@@ -178,6 +178,18 @@ def test_a_budget_that_cannot_be_worked_out_says_so_and_time_goes_on(lab, client
     wait_until(lambda: lab._bench.playing)
 
 
+def test_a_budget_is_for_the_cloth_that_is_chosen(lab, client, monkeypatch):
+    asked = []
+    monkeypatch.setattr(lab._prober, "ask", lambda bench, index, *_: asked.append(index))
+    client.set(client.find("for the"), "second cloth")
+    press_find(client, "time per frame [ms]", 3.0)
+    wait_until(lambda: asked == [1])
+    client.set(client.find("for the"), "third cloth")
+    press_find(client, "time per frame [ms]", 3.0)
+    wait_until(lambda: "There are 2 cloths only" in lab._page.charts.budget._answer.content)
+    assert asked == [1]
+
+
 @pytest.mark.parametrize("nonsense", [0.0, -1.0, float("nan"), float("inf"), True, "many", None])
 def test_a_budget_is_a_positive_number_whatever_a_client_sends(lab, client, nonsense):
     before = lab._page.charts.budget._most.value

@@ -70,8 +70,10 @@ def dominant(sources: Sequence[Source]) -> str:
     if not known:
         return "No source of error could be told."
     (most, first), *others = known
+    many = first.source.endswith("s")
     words = (
-        f"At the chosen settings the {first.source} dominates: turned from {first.what} it moves the cloth"
+        f"At the chosen settings the {first.source} {'dominate' if many else 'dominates'}: "
+        f"turned from {first.what} {'they move' if many else 'it moves'} the cloth"
     )
     words += f" by {percent(most)}"
     words += "".join(f", the {s.source} by {percent(change)}" for change, s in others) + "."
