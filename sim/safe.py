@@ -11,14 +11,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sim.integrators import INTEGRATORS
+from sim.integrators import CALM, INTEGRATORS
 from sim.settings import FIELDS, Settings
 
 STRONG = 100.0
 """Gravity beyond this in any component [m/s²], ten times the earth's, is not swept."""
-
-CALM = "backward_euler"
-"""The integrator of safe settings: it damps whatever a step is too long for (L-stable)."""
 
 DOUBTFUL: dict[str, str] = {
     "integrator": "explicit steps blow up where they are longer than the stiffest spring allows",
