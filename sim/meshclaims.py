@@ -114,17 +114,17 @@ ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 
 
 class Property(NamedTuple):
-    """A number of each row of an element, or a list of as many as a `count` before them says.
+    """A number of each row of an element, or a list of as many as a `length` before them says.
 
     Attributes:
         name: In the file.
         type: Of the numbers, as module struct has it.
-        count: Of the count, empty for a number that is no list.
+        length: Type of the length, empty for a number that is no list.
     """
 
     name: str
     type: str
-    count: str = ""
+    length: str = ""
 
     @property
     def fractional(self) -> bool:
@@ -136,13 +136,13 @@ class Element(NamedTuple):
     """What a .ply has a number of rows of."""
 
     name: str
-    count: int
+    claimed: int
     properties: list[Property]
 
     @property
     def rows(self) -> int:
         """How many take up room."""
-        return self.count if self.properties else 0
+        return self.claimed if self.properties else 0
 
 
 def ply_header(data: bytes) -> tuple[str, list[Element], int]:
@@ -167,8 +167,8 @@ def ply_header(data: bytes) -> tuple[str, list[Element], int]:
                     encoding = name
                 case ["element", name, count] if count.isdecimal() and name not in {e.name for e in elements}:
                     elements.append(Element(name, int(count), []))
-                case ["property", "list", count, kind, name] if PLY_TYPES[count] not in "fd":
-                    elements[-1].properties.append(Property(name, PLY_TYPES[kind], PLY_TYPES[count]))
+                case ["property", "list", length, kind, name] if PLY_TYPES[length] not in "fd":
+                    elements[-1].properties.append(Property(name, PLY_TYPES[kind], PLY_TYPES[length]))
                 case ["property", kind, name]:
                     elements[-1].properties.append(Property(name, PLY_TYPES[kind]))
                 case ["end_header"] if encoding:
@@ -188,7 +188,7 @@ def _line_end(data: bytes, at: int) -> int:
 
 
 def _count_ply(data: bytes) -> tuple[int, int, int]:
-    counts = {element.name: element.count for element in ply_header(data)[1]}
+    counts = {element.name: element.claimed for element in ply_header(data)[1]}
     return counts.get("vertex", 0), counts.get("face", 0), sum(counts.values())
 
 

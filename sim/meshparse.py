@@ -214,14 +214,14 @@ def _read_ply(data: bytes) -> tuple[Any, Any]:
 def _place(element: Element, name: str) -> int:
     """Which property of an element it is, of those that are no lists."""
     for place, known in enumerate(element.properties):
-        if known.name == name and not known.count:
+        if known.name == name and not known.length:
             return place
     raise ValueError(f"expected a property {name} of element {element.name}, got none")
 
 
 def _corners(face: Element) -> int:
     """Which property of a face lists its vertices: the one named so, or the only list."""
-    lists = [place for place, known in enumerate(face.properties) if known.count]
+    lists = [place for place, known in enumerate(face.properties) if known.length]
     named = [p for p in lists if face.properties[p].name in {"vertex_indices", "vertex_index"}]
     if len(chosen := named or lists) != 1 or face.properties[chosen[0]].fractional:
         raise ValueError("expected one property list … vertex_indices of whole numbers of element face")
@@ -239,11 +239,11 @@ def _ascii_rows(data: bytes, body: int, elements: Sequence[Element], encoding: s
         for k in range(element.rows):
             words = next(rows, None)
             if words is None:
-                raise ValueError(f"it ends at {element.name} {k:,} of {element.count:,}")
+                raise ValueError(f"it ends at {element.name} {k:,} of {element.claimed:,}")
             try:
                 row = _ascii_row(element, words)
             except (ValueError, IndexError):
-                what = " ".join(f"{'list ' * bool(known.count)}{known.name}" for known in element.properties)
+                what = " ".join(f"{'list ' * bool(known.length)}{known.name}" for known in element.properties)
                 raise lines.wrong(f"{element.name} with {what}", words) from None
             yield element.name, k, row
 
@@ -251,7 +251,7 @@ def _ascii_rows(data: bytes, body: int, elements: Sequence[Element], encoding: s
 def _ascii_row(element: Element, words: list[str]) -> list:
     row, at = [], 0
     for known in element.properties:
-        if known.count:
+        if known.length:
             if known.fractional:
                 length = int(words[at])
                 values, at = [float(word) for word in words[at + 1 : at + 1 + length]], at + 1 + length
@@ -277,15 +277,15 @@ def _binary_rows(data: bytes, at: int, elements: Sequence[Element], encoding: st
                     value, at = read(data, at)
                     row.append(value)
             except struct.error:
-                raise ValueError(f"it ends at {element.name} {k:,} of {element.count:,}") from None
+                raise ValueError(f"it ends at {element.name} {k:,} of {element.claimed:,}") from None
             yield element.name, k, row
 
 
 def _reader(known: Property, order: str) -> Callable[[bytes, int], tuple[Any, int]]:
     one = struct.Struct(order + known.type)
-    if not known.count:
+    if not known.length:
         return lambda data, at: (one.unpack_from(data, at)[0], at + one.size)
-    length = struct.Struct(order + known.count)
+    length = struct.Struct(order + known.length)
 
     def read(data: bytes, at: int) -> tuple[Any, int]:
         (count,), at = length.unpack_from(data, at), at + length.size
