@@ -217,7 +217,7 @@ BLOWN_UP = 100.0
 
 
 def calming(world: Simulation) -> bool:
-    """Whether no step may be refused: the integrator damps, and all springs have an energy that it can damp."""
+    """Whether no step may be refused: the integrator damps, and no spring puts in energy for ever."""
     name = world.settings.integrator
     return name == CALM or (INTEGRATORS[name].calms and world.model.conservative)
 
