@@ -258,8 +258,7 @@ class Lab:
 
     def make_safe(self) -> None:
         """Put right what is out of the ordinary in variants that stand still."""
-        stopped = [i for i, frame in enumerate(self.frames) if frame.refused]
-        comparison = made_safe(self._comparison, stopped)
+        comparison = made_safe(self._comparison, self.frames)
         if comparison != self._comparison:
             self._history.note(self._comparison, "safe settings")
             self._change_on_page(comparison, "made safe")

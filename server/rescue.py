@@ -27,14 +27,15 @@ if TYPE_CHECKING:
 UNDO, SAFE = "Undo the last change", "Safe settings"
 
 
-def made_safe(comparison: Comparison, stopped: Sequence[int]) -> Comparison:
-    """The comparison with what is out of the ordinary in `stopped` variants put right.
+def made_safe(comparison: Comparison, frames: Sequence[Frame]) -> Comparison:
+    """The comparison with what is out of the ordinary put right in variants whose newest frame is refused.
 
     Settings that are shared change for all, so that the others stay comparable; the compared one only for
     those that stand still.
     """
-    for i in stopped:
-        for name, value in safe_changes(comparison.settings(i)).items():
+    for i, frame in enumerate(frames):
+        changes = safe_changes(comparison.settings(i), frame.blamed) if frame.refused else {}
+        for name, value in changes.items():
             own = name == comparison.by
             comparison = comparison.with_value(i, value) if own else comparison.with_shared(name, value)
     return comparison
@@ -68,7 +69,7 @@ class Rescue:
             last_change: What would be undone; empty where there is nothing.
         """
         stopped = [i for i, frame in enumerate(frames) if frame.refused]
-        after = made_safe(comparison, stopped)
+        after = made_safe(comparison, frames)
         changes = changed(comparison, after)
         if stopped:
             self._write(self._said, content=self._text(comparison, frames, stopped))

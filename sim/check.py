@@ -1,7 +1,6 @@
 """Everything that can be said of a scene before it runs: what was repaired, and what is likely a mistake.
 
-Needs neither numba nor scipy, so that `muslin check` answers at once; trimesh only for mesh files other than
-.obj.
+Needs neither numba nor scipy, so that `muslin check` answers at once.
 """
 
 from __future__ import annotations

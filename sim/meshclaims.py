@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from sim.scene import MAX_VERTICES
 
@@ -18,6 +19,18 @@ MAX_BYTES = 10_000_000
 
 MAX_TRIANGLES = 2 * MAX_VERTICES
 """About as many as a mesh of the most vertices has; more are refused before anything is allocated."""
+
+MAX_ROWS = 2 * (MAX_VERTICES + MAX_TRIANGLES)
+"""Vertices, faces and whatever else a file has: edges, say."""
+
+HEADER_LINES, HEADER_LINE = 1000, 1000
+"""Lines of a .ply before its rows, and bytes of one, beyond which it is none."""
+
+LINE_END = re.compile(rb"\r\n|\n|\r")
+"""Of Unix, Windows and old Macs."""
+
+MARK = b"\xef\xbb\xbf"
+"""What some programs begin a text with; of its first word it is no part."""
 
 
 def vertex_count(file: str, folder: str) -> int | None:
@@ -40,6 +53,8 @@ def declared_counts(data: bytes, suffix: str) -> tuple[int | None, int]:
         raise ValueError(f"expected at most {MAX_VERTICES:,} vertices, got {vertices:,}")
     if faces > MAX_TRIANGLES:
         raise ValueError(f"expected at most {MAX_TRIANGLES:,} faces, got {faces:,}")
+    if everything > MAX_ROWS:
+        raise ValueError(f"expected at most {MAX_ROWS:,} elements, got {everything:,}")
     if everything > len(data):  # each element takes at least a byte
         raise ValueError(
             f"its header claims {everything:,} elements, more than its {len(data):,} bytes can hold"
@@ -72,29 +87,122 @@ def mesh_bytes(path: Path, file: str) -> bytes:
         raise ValueError(f"{file}: cannot be read: {error.strerror}") from None
     if len(data) > MAX_BYTES:
         raise ValueError(f"{file}: expected at most {MAX_BYTES // 10**6} MB, got more")
-    return data
+    return data if binary_stl_faces(data) else data.removeprefix(MARK)
 
 
 # What a file claims: (vertices, faces, all elements that a header announces)
 
 
 def _count_obj(data: bytes) -> tuple[int, int, int]:
-    return len(re.findall(rb"^[ \t]*v[ \t]", data, re.M)), len(re.findall(rb"^[ \t]*f[ \t]", data, re.M)), 0
+    vertices, faces = (len(re.findall(rb"(?:^|\r)[ \t]*%b[ \t]" % word, data, re.M)) for word in (b"v", b"f"))
+    return vertices, faces, 0
 
 
-def count_ply(data: bytes) -> tuple[int, int, int]:
-    """The vertices, faces and all elements that a .ply claims to have."""
-    header = data[: max(data.find(b"end_header"), 0)]
-    found = re.findall(rb"^element[ \t]+(\S+)[ \t]+([0-9]+)", header, re.M)
-    counts = {name: int(number) for name, number in found}
-    return counts.get(b"vertex", 0), counts.get(b"face", 0), sum(counts.values())
+PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "b"),
+    **dict.fromkeys(("uchar", "uint8"), "B"),
+    **dict.fromkeys(("short", "int16"), "h"),
+    **dict.fromkeys(("ushort", "uint16"), "H"),
+    **dict.fromkeys(("int", "int32"), "i"),
+    **dict.fromkeys(("uint", "uint32"), "I"),
+    **dict.fromkeys(("float", "float32"), "f"),
+    **dict.fromkeys(("double", "float64"), "d"),
+}
+"""Names of numbers in a .ply, and what module struct calls them."""
+
+ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
+
+
+class Property(NamedTuple):
+    """A number of each row of an element, or a list of as many as a `length` before them says.
+
+    Attributes:
+        name: In the file.
+        type: Of the numbers, as module struct has it.
+        length: Type of the length, empty for a number that is no list.
+    """
+
+    name: str
+    type: str
+    length: str = ""
+
+    @property
+    def fractional(self) -> bool:
+        """Whether its numbers need not be whole."""
+        return self.type in "fd"
+
+
+class Element(NamedTuple):
+    """What a .ply has a number of rows of."""
+
+    name: str
+    claimed: int
+    properties: list[Property]
+
+    @property
+    def rows(self) -> int:
+        """How many take up room."""
+        return self.claimed if self.properties else 0
+
+
+def ply_header(data: bytes) -> tuple[str, list[Element], int]:
+    """How the rows of a .ply are written, what they are, and the byte where they begin.
+
+    Raises:
+        ValueError: with the line that is wrong.
+    """
+    encoding, elements, at = "", [], 0
+    for number in range(1, HEADER_LINES):
+        begin, at = at, _line_end(data, at)
+        words = data[begin : min(at, begin + HEADER_LINE)].decode("ascii", "replace").split()
+        try:
+            match words:
+                case ["ply"] if number == 1:
+                    pass
+                case _ if number == 1 or at == begin:
+                    break
+                case [] | ["comment" | "obj_info", *_]:
+                    pass
+                case ["format", name, _] if name in ENCODINGS:
+                    encoding = name
+                case ["element", name, count] if count.isdecimal() and name not in {e.name for e in elements}:
+                    elements.append(Element(name, int(count), []))
+                case ["property", "list", length, kind, name] if PLY_TYPES[length] not in "fd":
+                    elements[-1].properties.append(Property(name, PLY_TYPES[kind], PLY_TYPES[length]))
+                case ["property", kind, name]:
+                    elements[-1].properties.append(Property(name, PLY_TYPES[kind]))
+                case ["end_header"] if encoding:
+                    return encoding, elements, at
+                case _:
+                    raise KeyError
+        except (LookupError, ValueError):
+            shown = " ".join(words)[:60]
+            raise ValueError(f"line {number}: expected a line of a PLY header, got {shown!r}") from None
+    raise ValueError("expected ply at its start, and a PLY header that ends with end_header")
+
+
+def _line_end(data: bytes, at: int) -> int:
+    """The byte after the line that begins at a byte, however it ends."""
+    found = LINE_END.search(data, at)
+    return found.end() if found else len(data)
+
+
+def _count_ply(data: bytes) -> tuple[int, int, int]:
+    counts = {element.name: element.claimed for element in ply_header(data)[1]}
+    return counts.get("vertex", 0), counts.get("face", 0), sum(counts.values())
+
+
+def binary_stl_faces(data: bytes) -> int | None:
+    """How many faces a binary .stl has; None for a file that is none."""
+    claimed = int.from_bytes(data[80:84], "little")
+    return claimed if len(data) == 84 + 50 * claimed else None
 
 
 def _count_stl(data: bytes) -> tuple[None, int, int]:
-    claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
-    if len(data) == 84 + 50 * claimed:
-        return None, claimed, 0
-    return None, len(re.findall(rb"^[ \t]*endfacet", data, re.M | re.I)), 0
+    claimed = binary_stl_faces(data)
+    if claimed is None:
+        claimed = len(re.findall(rb"^[ \t]*endfacet", data, re.M | re.I))
+    return None, claimed, 0
 
 
 def _count_off(data: bytes) -> tuple[int, int, int]:
@@ -105,4 +213,4 @@ def _count_off(data: bytes) -> tuple[int, int, int]:
     return vertices, faces, vertices + faces
 
 
-_COUNTERS = {".obj": _count_obj, ".ply": count_ply, ".stl": _count_stl, ".off": _count_off}
+_COUNTERS = {".obj": _count_obj, ".ply": _count_ply, ".stl": _count_stl, ".off": _count_off}

@@ -1,87 +1,305 @@
-"""Other people's readers of mesh files, held to a time and a memory.
+"""Readers of mesh files: the bytes of an .obj, .ply, .stl or .off to vertices and triangles.
 
-Trimesh reads many formats well, but promises nothing of what it does with a broken or hostile file. So a
-file that is large enough to matter is read in a process of its own, which is ended when it takes too long and
-gets no more memory than it may have. It takes about a second to start, which is what importing trimesh takes
-anywhere. This file is also the program of that process, and imports nothing of `sim`.
+Our own, as a file may be anybody's: each reads once from front to end, makes nothing larger than the file,
+takes no number for another, and says which line or row is wrong. A file that ends too soon is refused.
+Materials, colours, normals and texture coordinates are left; polygons become fans of triangles.
 """
 
 from __future__ import annotations
 
-import io
-import os
-import subprocess
-import sys
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-HARMLESS = 100_000
-"""Bytes that are read in this process: a hundredth of the most, in a time that may grow as their square."""
-
-SECONDS = 30.0
-"""For a process that reads; good files of the most bytes take a few."""
-
-MEMORY = 2**30
-"""Bytes of data that it may have, on Linux; it starts with about a tenth, and good files double that."""
+from sim.meshclaims import MAX_TRIANGLES, Element, Property, binary_stl_faces, ply_header
+from sim.scene import MAX_VERTICES
 
 Arrays = tuple[np.ndarray, np.ndarray]
 
+SHOWN = 60
+"""Characters of a line that a message shows."""
 
-def parse(data: bytes, kind: str) -> Arrays:
-    """(n, 3) float64 vertices and (m, 3) faces of a mesh, of a `kind` of file that trimesh knows."""
-    import trimesh
+LONGEST = 2_000_000
+"""Bytes of a line that is read, and words of lines that one goes on in."""
 
-    # No resolver and no materials: nothing but these bytes is looked at, on disk or elsewhere.
-    mesh = trimesh.load_mesh(
-        io.BytesIO(data),
-        file_type=kind,
-        process=False,
-        maintain_order=True,
-        skip_materials=True,
-        fix_texture=False,
-        resolver=None,
-    )
-    return np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
+CORNERS = "three or more vertex numbers"
 
 
-def parse_apart(data: bytes, kind: str) -> Arrays:
-    """The same by a process of its own; ValueError where it fails, or takes too much of time or memory."""
-    command = [sys.executable, "-P", __file__, kind]
-    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # whose threads would each set memory aside
-    try:
-        done = subprocess.run(
-            command, input=data, capture_output=True, timeout=SECONDS, env=alone, check=False
+def parse(data: bytes, suffix: str) -> Arrays:
+    """(n, 3) float64 vertices in units of the file and (m, 3) int64 triangles, whose numbers may be any.
+
+    Raises:
+        ValueError: one line that says what is wrong, and where.
+    """
+    vertices, triangles = _READERS[suffix](data)
+    points = np.array(vertices, dtype=float).reshape(-1, 3)
+    return points, np.array(triangles, dtype=np.int64).reshape(-1, 3)
+
+
+class _Lines:
+    """The words of each line that has any.
+
+    Args:
+        data: The text.
+        first: The number of its first line.
+        comment: What begins a comment, if anything does.
+
+    Attributes:
+        number: Of the line that was read last, from 1.
+    """
+
+    def __init__(self, data: bytes, first: int = 1, comment: bytes = b"") -> None:
+        self.number, self._first, self._comment = first - 1, first, comment
+        self._lines = data.splitlines()  # of Unix, Windows and old Macs
+
+    def __iter__(self) -> Iterator[list[str]]:
+        held: list[str] = []
+        for number, line in enumerate(self._lines, self._first):
+            text = line.partition(self._comment)[0].rstrip() if self._comment else line
+            if not text and not held:
+                continue
+            self.number = number
+            if max(len(text), len(held)) > LONGEST:
+                raise ValueError(f"line {number}: expected at most {LONGEST // 10**6} MB, got more")
+            more = bool(self._comment) and text.endswith(b"\\")  # goes on in the next line
+            held += text.removesuffix(b"\\" * more).decode("utf-8", "replace").split()
+            if held and not more:
+                yield held
+                held = []
+
+    def wrong(self, expected: str, words: list[str]) -> ValueError:
+        """What to raise for the last line."""
+        return ValueError(f"line {self.number}: expected {expected}, got {' '.join(words)[:SHOWN]!r}")
+
+
+def _point(words: list[str]) -> tuple[float, float, float]:
+    x, y, z = map(float, words)
+    return x, y, z
+
+
+def _fan(corners: Sequence[int]) -> list[tuple[int, int, int]]:
+    """The triangles of a polygon; ValueError for fewer than three corners."""
+    if len(corners) < 3:
+        raise ValueError
+    return [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+
+
+def _index(word: str) -> int:
+    """A vertex number that int64 holds; whether there is such a vertex is looked at later."""
+    index = int(word)
+    if abs(index) > np.iinfo(np.int32).max:
+        raise ValueError
+    return index
+
+
+def _at_most(triangles: list) -> None:
+    if len(triangles) > MAX_TRIANGLES:
+        raise ValueError(f"expected at most {MAX_TRIANGLES:,} triangles, got more")
+
+
+def _read_obj(data: bytes) -> tuple[list, list]:
+    vertices: list[tuple[float, float, float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    lines = _Lines(data, comment=b"#")
+    for words in lines:
+        try:
+            if words[0] == "v":
+                vertices.append(_point(words[1:4]))
+            elif words[0] == "f":
+                triangles += _fan([_obj_index(word, len(vertices)) for word in words[1:]])
+        except ValueError:
+            raise lines.wrong("three numbers" if words[0] == "v" else CORNERS, words) from None
+        _at_most(triangles)
+    return vertices, triangles
+
+
+def _obj_index(word: str, count: int) -> int:
+    """The vertex that `7`, `7/1/2`, `7//2` or `-1` (the latest) means, from 0."""
+    index = int(word.partition("/")[0])
+    if index == 0 or index < -count or index > MAX_VERTICES:
+        raise ValueError
+    return index - 1 if index > 0 else count + index
+
+
+def _read_off(data: bytes) -> tuple[list, list]:
+    vertices: list[tuple[float, float, float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    lines = _Lines(data, comment=b"#")
+    rows = iter(lines)
+    counts = next(rows)[1:] or next(rows)  # beside OFF or below; what they claim has been looked at
+    left = int(counts[1])
+    for words in rows:
+        if len(vertices) < int(counts[0]):
+            try:
+                vertices.append(_point(words[:3]))
+            except ValueError:
+                raise lines.wrong("three numbers", words) from None
+        elif left:
+            left -= 1
+            try:
+                triangles += _fan(_listed(words, 0)[0])
+            except ValueError:
+                raise lines.wrong(f"how many corners, and {CORNERS}", words) from None
+            _at_most(triangles)
+        else:
+            break
+    if len(vertices) < int(counts[0]) or left:
+        raise ValueError(f"expected {counts[0]} vertices and {counts[1]} faces, but it ends before")
+    return vertices, triangles
+
+
+def _listed(words: list[str], at: int) -> tuple[list[int], int]:
+    """The whole numbers after the one at `at` that says how many there are, and where the next word is."""
+    count = int(words[at])
+    end = at + 1 + count
+    if count < 0 or end > len(words):
+        raise ValueError
+    return [_index(word) for word in words[at + 1 : end]], end
+
+
+def _read_stl(data: bytes) -> tuple[Any, Any]:
+    """Three vertices for each triangle, as the file has them."""
+    if (faces := binary_stl_faces(data)) is not None:
+        row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners: Any = np.frombuffer(data, row, faces, 84)["corners"]
+        return corners, np.arange(3 * faces)
+    if not data.lstrip().lower().startswith(b"solid"):
+        claimed = int.from_bytes(data[80:84], "little")
+        raise ValueError(
+            f"expected solid, or {84 + 50 * claimed:,} bytes for the facets that it claims to have"
         )
-    except subprocess.TimeoutExpired:
-        raise ValueError(f"it takes longer than {SECONDS:g} s") from None
-    if done.returncode:
-        lines = done.stderr.decode("utf-8", "replace").splitlines()
-        raise ValueError(lines[-1] if lines else "its reader broke off")
-    arrays = io.BytesIO(done.stdout)
-    return np.load(arrays), np.load(arrays)
+    corners, whole, lines, words, last = [], 0, _Lines(data), [], ""
+    for words in lines:
+        last = words[0].lower()
+        if last == "vertex":
+            try:
+                corners.append(_point(words[1:]))
+            except ValueError:
+                raise lines.wrong("vertex and three numbers", words) from None
+        elif last == "endfacet":
+            if len(corners) - whole != 3:
+                raise lines.wrong("three vertices in each facet", words)
+            whole += 3
+    if last not in {"endsolid", "endfacet"}:
+        raise lines.wrong("endsolid at its end", words)
+    return corners, np.arange(whole)
 
 
-def main() -> int:
-    """Read a mesh from stdin and write its two arrays to stdout, or one line to stderr."""
-    try:
-        import resource  # which Windows does not have
+def _read_ply(data: bytes) -> tuple[Any, Any]:
+    encoding, elements, body = ply_header(data)
+    named = {element.name: element for element in elements}
+    for name in ("vertex", "face"):
+        if name not in named:
+            raise ValueError(f"expected an element {name}, got {', '.join(named) or 'none'}")
+    axes, corners = [_place(named["vertex"], axis) for axis in "xyz"], _corners(named["face"])
+    vertices: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    for element, k, row in (_ascii_rows if encoding == "ascii" else _binary_rows)(
+        data, body, elements, encoding
+    ):
+        if element == "vertex":
+            vertices.append([row[axis] for axis in axes])
+        elif element == "face":
+            try:
+                triangles += _fan(row[corners])
+            except ValueError:
+                raise ValueError(f"face {k}: expected {CORNERS}, got {list(row[corners])}") from None
+            _at_most(triangles)
+    return vertices, triangles
 
-        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
-    except (ImportError, ValueError, OSError):
-        pass  # where there is no such limit, time is the bound
-    out = sys.stdout.buffer
-    sys.stdout = sys.stderr  # what a reader prints is none of the answer
-    try:
-        for array in parse(sys.stdin.buffer.read(), sys.argv[1]):
-            np.save(out, array)
-    except MemoryError:
-        sys.stderr.write(f"it takes more memory than {MEMORY // 2**20} MB\n")
-        return 1
-    except Exception as error:
-        sys.stderr.write((" ".join(str(error).split()) or type(error).__name__) + "\n")
-        return 1
-    return 0
+
+def _place(element: Element, name: str) -> int:
+    """Which property of an element it is, of those that are no lists."""
+    for place, known in enumerate(element.properties):
+        if known.name == name and not known.length:
+            return place
+    raise ValueError(f"expected a property {name} of element {element.name}, got none")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _corners(face: Element) -> int:
+    """Which property of a face lists its vertices: the one named so, or the only list."""
+    lists = [place for place, known in enumerate(face.properties) if known.length]
+    named = [p for p in lists if face.properties[p].name in {"vertex_indices", "vertex_index"}]
+    if len(chosen := named or lists) != 1 or face.properties[chosen[0]].fractional:
+        raise ValueError("expected one property list … vertex_indices of whole numbers of element face")
+    return chosen[0]
+
+
+Rows = Iterator[tuple[str, int, list]]
+"""The element, the number and the properties of each row in turn."""
+
+
+def _ascii_rows(data: bytes, body: int, elements: Sequence[Element], encoding: str) -> Rows:
+    lines = _Lines(data[body:], len(data[:body].splitlines()) + 1)
+    rows = iter(lines)
+    for element in elements:
+        for k in range(element.rows):
+            words = next(rows, None)
+            if words is None:
+                raise ValueError(f"it ends at {element.name} {k:,} of {element.claimed:,}")
+            try:
+                row = _ascii_row(element, words)
+            except (ValueError, IndexError):
+                what = " ".join(f"{'list ' * bool(known.length)}{known.name}" for known in element.properties)
+                raise lines.wrong(f"{element.name} with {what}", words) from None
+            yield element.name, k, row
+
+
+def _ascii_row(element: Element, words: list[str]) -> list:
+    row, at = [], 0
+    for known in element.properties:
+        if known.length:
+            if known.fractional:
+                length = int(words[at])
+                values, at = [float(word) for word in words[at + 1 : at + 1 + length]], at + 1 + length
+            else:
+                values, at = _listed(words, at)
+            row.append(values)
+        else:
+            row.append(float(words[at]))
+            at += 1
+    if at != len(words):
+        raise ValueError
+    return row
+
+
+def _binary_rows(data: bytes, at: int, elements: Sequence[Element], encoding: str) -> Rows:
+    order = "<" if encoding == "binary_little_endian" else ">"
+    for element in elements:
+        readers = [_reader(known, order) for known in element.properties]
+        for k in range(element.rows):
+            row = []
+            try:
+                for read in readers:
+                    value, at = read(data, at)
+                    row.append(value)
+            except struct.error:
+                raise ValueError(f"it ends at {element.name} {k:,} of {element.claimed:,}") from None
+            yield element.name, k, row
+
+
+def _reader(known: Property, order: str) -> Callable[[bytes, int], tuple[Any, int]]:
+    one = struct.Struct(order + known.type)
+    if not known.length:
+        return lambda data, at: (one.unpack_from(data, at)[0], at + one.size)
+    length = struct.Struct(order + known.length)
+
+    def read(data: bytes, at: int) -> tuple[Any, int]:
+        (count,), at = length.unpack_from(data, at), at + length.size
+        end = at + count * one.size
+        if not at <= end <= len(data):
+            raise struct.error
+        return struct.unpack_from(f"{order}{count}{known.type}", data, at), end
+
+    return read
+
+
+_READERS: dict[str, Callable[[bytes], tuple[Any, Any]]] = {
+    ".obj": _read_obj,
+    ".ply": _read_ply,
+    ".stl": _read_stl,
+    ".off": _read_off,
+}

@@ -11,14 +11,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sim.integrators import INTEGRATORS
+from sim.integrators import CALM, INTEGRATORS
 from sim.settings import FIELDS, Settings
 
 STRONG = 100.0
 """Gravity beyond this in any component [m/s²], ten times the earth's, is not swept."""
-
-CALM = "backward_euler"
-"""The integrator of safe settings: it damps whatever a step is too long for (L-stable)."""
 
 DOUBTFUL: dict[str, str] = {
     "integrator": "explicit steps blow up where they are longer than the stiffest spring allows",
@@ -34,6 +31,12 @@ DOUBTFUL: dict[str, str] = {
 }
 """Settings that make a step fail where they are out of the ordinary, the likeliest first, and why."""
 
+START = "tangled"
+"""The setting that decides about a start that crosses itself."""
+
+LESS_STRICT = {"refuse": "untangle", "untangle": "keep"}
+"""What to set it to where the start is refused."""
+
 
 def out_of_range(settings: Settings) -> list[str]:
     """Names of the settings that are where steps are not known to do well, the likeliest to blame first."""
@@ -45,11 +48,14 @@ def suspect(settings: Settings) -> str:
     return next(iter(out_of_range(settings)), "dt")
 
 
-def safe_changes(settings: Settings) -> dict[str, Any]:
+def safe_changes(settings: Settings, blamed: str = "") -> dict[str, Any]:
     """What to change so that steps can be done again: by name, everything that is out of the ordinary.
 
-    Where nothing is, it is half the time step, down to the end of its slider; empty there.
+    Where nothing is, it is half the time step, down to the end of its slider; empty there. A start that is
+    refused for a tangle, which the setting that is `blamed` tells, is untangled, or kept if that has failed.
     """
+    if blamed == START:
+        return {START: LESS_STRICT.get(settings.tangled, settings.tangled)}
     changes = {name: _moderated(name, settings) for name in out_of_range(settings)}
     low, _ = FIELDS["dt"].slider or (settings.dt, settings.dt)
     if not changes and settings.dt > low:

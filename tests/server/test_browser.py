@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fake_world import SCENE, FakeWorld, nothing_to_compile, wait_until
 
+import sim
 from server.lab import Lab
 from server.rescue import SAFE, UNDO
 from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
@@ -282,6 +283,34 @@ def test_a_stopped_variant_is_led_on_by_undo_by_safe_settings_and_by_the_key(pag
         box.blur()
         press()
         led_on(reached, density)
+    assert own_page.errors == []
+    own_page.close()
+    lab.stop()
+
+
+@pytest.fixture(scope="module")
+def tangled():
+    """Two sheets, the upper of which has a dent through the lower."""
+    world = sim.Simulation({"cloth": {"kind": "grid", "size": [0.4, 0.4], "resolution": [20, 20]}})
+    x, triangles = world.positions, world.triangles
+    upper = x + np.array([0.003, 0.002, 0.005])
+    upper[:, 2] -= 0.015 * np.exp(-((x[:, :2] - [0.07, 0.05]) ** 2).sum(axis=1) / 2e-3)
+    layers = [{"vertices": p, "triangles": triangles, "pins": [0, 19, 380, 399]} for p in (upper, x)]
+    return {"cloth": layers, "settings": {"contact": "impulse"}, "compare": {"values": ["impulse"]}}
+
+
+def test_a_tangled_start_is_refused_on_the_page_and_untangled_with_the_button(page, tangled):
+    lab = Lab(tangled, port=0)
+    lab.start()
+    own_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
+    visit(own_page, lab)
+    own_page.get_by_text("crosses itself or a mesh obstacle at the start").first.wait_for()
+    own_page.get_by_text("Likeliest: tangled start refuse").wait_for()
+    own_page.get_by_role("button", name=SAFE).click()
+    wait_until(lambda: lab.frames and lab.frames[0].time > 0, seconds=60)
+    assert settings(lab, "tangled") == ["untangle"]
+    assert lab.frames[0].note.startswith("untangled the start, by up to")
+    own_page.get_by_role("button", name=SAFE).wait_for(state="hidden")
     assert own_page.errors == []
     own_page.close()
     lab.stop()

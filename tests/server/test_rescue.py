@@ -4,6 +4,7 @@ import pytest
 from fake_world import SCENE, FakeWorld, RawClient, wait_until
 
 from server.comparison import Comparison
+from server.lane import Frame
 from server.rescue import SAFE, UNDO, made_safe
 from sim.scene import load_scene
 
@@ -149,9 +150,19 @@ def test_shared_suspects_are_put_right_for_all_and_the_compared_one_only_where_i
     comparison = (
         Comparison.of_scene(load_scene(SCENE)).compared_by("dt").with_value(0, 1.0).with_value(1, 0.5)
     )
-    made = made_safe(comparison.with_shared("stretch", 1e7), [0])
+    made = made_safe(comparison.with_shared("stretch", 1e7), [Frame(refused="too stiff"), Frame()])
     assert made.values == (pytest.approx(1 / 30), 0.5)
     assert made.shared.stretch == 1e4
+
+
+def test_a_start_that_is_refused_for_a_tangle_is_untangled_and_kept_where_that_failed():
+    comparison, refused = (
+        Comparison.of_scene(load_scene(SCENE)),
+        Frame(refused="it crosses", blamed="tangled"),
+    )
+    untangled = made_safe(comparison, [Frame(), refused])
+    assert untangled == comparison.with_shared("tangled", "untangle")
+    assert made_safe(untangled, [Frame(), refused]) == comparison.with_shared("tangled", "keep")
 
 
 def test_a_newcomer_sees_the_offer_too(stopped):
