@@ -86,7 +86,7 @@ def build_mesh(scene: Scene) -> Mesh:
     first = np.cumsum([0] + [len(p.vertices) for p in pieces])
     triangles = np.concatenate([p.triangles + f for p, f in zip(pieces, first, strict=False)])
     extra = np.concatenate([p.edges + f for p, f in zip(pieces, first, strict=False)])
-    hinges, hinge_warnings = _hinges(triangles, total)
+    hinges, hinge_warnings = build_hinges(triangles, total)
     shells, shell_warnings = read_shells(scene)
     densities = [cloth.density for cloth in scene.cloth]
     return Mesh(
@@ -288,7 +288,7 @@ def distinct_edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarr
     return np.stack([low[first], high[first]], axis=1).astype(np.int32)
 
 
-def _hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, ...]]:
+def build_hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """Inner edges with their two opposite vertices; edges of three or more triangles are left out."""
     start = triangles.ravel()
     end = triangles[:, [1, 2, 0]].ravel()

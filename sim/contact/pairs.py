@@ -18,7 +18,7 @@ from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
 from sim.contact.proximity import measure, meet
-from sim.contact.surface import build_surface
+from sim.contact.surface import build_surface, inside_flats
 from sim.mesh import Mesh
 
 THICK = 0.4
@@ -104,10 +104,10 @@ class Pairs:
         self._surface, tree = build_surface(
             places, np.concatenate([mesh.triangles, solid.triangles + n]), edges
         )
-        if not feels.edges:
-            self._surface = self._surface._replace(
-                own_edge=np.full_like(self._surface.own_edge, -1), near_edges=self._surface.near_edges[:0]
-            )
+        flat = inside_flats(solid.vertices, solid.triangles, solid.edges)
+        felt = np.zeros(n, dtype=bool), np.zeros(len(mesh.edges), dtype=bool)
+        vertices, lines = (np.concatenate(pair) for pair in zip(felt, flat, strict=True))
+        self._surface = self._surface.without(vertices, lines | (not feels.edges))
         outside = np.arange(len(places)) >= n
         movable = np.concatenate([free, np.zeros(len(solid.vertices), dtype=bool)])
         self._piece = np.concatenate([mesh.pieces, -1 - solid.part])
@@ -157,6 +157,7 @@ class Pairs:
         distance = self._distance
         close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
         close = close[~self._as_at_rest(pairs, close)]
+        close = close[~self._beside(pairs.node[close], pairs.kind[close], distance[close], weight[close])]
         self._count(pairs, close)
         normal = np.einsum("ij,ijk->ik", weight[close], self._start[pairs.node[close]])
         normal /= distance[close, None]
@@ -273,6 +274,28 @@ class Pairs:
         let_go = self._distance[close[alike]] >= self.thickness
         near[alike] = apart < np.where(let_go, self._reach, self.thickness)
         return near
+
+    def _beside(
+        self, node: np.ndarray, kind: np.ndarray, distance: np.ndarray, weight: np.ndarray
+    ) -> np.ndarray:
+        """Which of these pairs are a vertex and the border of an obstacle's triangle that lies beside it.
+
+        There, the next triangle at that border is nearer. To feel the border, too, as if the surface ended
+        there, would hold up what slides over it.
+        """
+        beside = np.zeros(len(kind), dtype=bool)
+        which = np.flatnonzero((kind == VERTEX_TRIANGLE) & (node[:, 0] < self._n) & (node[:, 1] >= self._n))
+        which = which[np.argsort(node[which, 0], kind="stable")]
+        vertex, corners, near = node[which, 0], node[which, 1:], weight[which, 1:] != 0.0
+        for apart in range(1, len(which)):
+            same = np.flatnonzero(vertex[apart:] == vertex[:-apart])
+            if not len(same):
+                break
+            for one, other in ((same, same + apart), (same + apart, same)):
+                shared = (corners[one][:, :, None] == corners[other][:, None, :]).any(axis=2)
+                nearer = distance[which[other]] < (1.0 - MARGIN) * distance[which[one]]
+                beside[which[one[(shared | ~near[one]).all(axis=1) & nearer]]] = True
+        return beside
 
     def _contacts(
         self, pairs: Candidates, which: np.ndarray, weight: np.ndarray, normal: np.ndarray, keep: np.ndarray

@@ -12,11 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.mesh import build_hinges
+
 LEAF = 4
 """Elements of a leaf of the tree."""
 
 HUB = 24
 """Elements at a vertex beyond which they are no neighbours: all pairs of them would be too many."""
+
+
+FLAT = 1e-7
+"""Height over an edge's length by which two triangles may be off one plane: what single precision rounds."""
 
 
 class Tree(NamedTuple):
@@ -57,6 +63,34 @@ class Surface(NamedTuple):
     crowded: np.ndarray
     near_vertices: np.ndarray
     near_edges: np.ndarray
+
+    def without(self, vertices: np.ndarray, edges: np.ndarray) -> Surface:
+        """The same, with none of these `vertices` (n,) and `edges` (e,), both bool, looking for partners."""
+        return self._replace(
+            own_vertex=self.own_vertex & ~vertices[self.faces],
+            near_vertices=self.near_vertices[~vertices[self.near_vertices[:, 0]]],
+            own_edge=np.where((self.own_edge >= 0) & edges[self.own_edge], np.int32(-1), self.own_edge),
+            near_edges=self.near_edges[~edges[self.near_edges].any(axis=1)],
+        )
+
+
+def inside_flats(
+    positions: np.ndarray, triangles: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) and (e,) bool, which vertices and `edges` (e, 2) lie inside flat parts of a rigid surface.
+
+    What touches one of them touches the triangles around it, with a corner, or reaches beyond the flat part
+    and touches its border. Felt for itself it would only be a bump that holds up what slides past.
+    """
+    hinges, _ = build_hinges(triangles, len(positions))
+    a, b, c, d = positions[hinges.T]
+    along, one, other = b - a, np.cross(b - a, c - a), np.cross(d - a, b - a)
+    alike = np.einsum("ij,ij->i", one, other) > 0.0
+    height = np.abs(np.einsum("ij,ij->i", one, d - a))
+    flat = alike & (height <= FLAT * np.linalg.norm(one, axis=1) * np.linalg.norm(along, axis=1))
+    within = np.isin(_keys(edges, len(positions)), _keys(hinges[flat, :2], len(positions)))
+    bordering = np.bincount(edges[~within].ravel(), minlength=len(positions)) > 0
+    return ~bordering, within
 
 
 def build_surface(positions: np.ndarray, triangles: np.ndarray, edges: np.ndarray) -> tuple[Surface, Tree]:
