@@ -261,12 +261,13 @@ def crumpled(name="backward_euler", **settings):
 @pytest.mark.parametrize("name", INTEGRATORS)
 @pytest.mark.parametrize("gamma", [0.0, 0.7, 20.0])
 def test_damping_never_slows_free_fall(name, gamma):
-    """First-order methods add h v up, g h² n (n + 1) / 2; those of second order are exact for a parabola."""
+    """First-order steps add h v up, g h² / 2 each too much; those of second order are exact for a parabola."""
     world = crumpled(name, gamma=gamma, gravity=EARTH, altitudes="all")
     center = world.masses @ world.positions / world.masses.sum()
-    steps(world, 20)
     h, n = world.settings.dt, 20
-    fallen = 0.5 * EARTH[2] * h * h * n * (n + 1 if INTEGRATORS[name].order == 1 else n)
+    first = sum(INTEGRATORS[world.step().integrator].order == 1 for _ in range(n))
+    assert first in ((n,) if INTEGRATORS[name].order == 1 else (0, 1))  # the start may be too wild for others
+    fallen = 0.5 * EARTH[2] * h * h * (n * n + first)
     moved = world.masses @ world.positions / world.masses.sum() - center
     np.testing.assert_allclose(moved, [0.0, 0.0, fallen], atol=1e-12)
     assert np.ptp(world.velocities, axis=0).max() > 1e-3  # it deforms as it falls

@@ -67,7 +67,6 @@ STIFF_AND_DAMPED = {
 }
 
 
-@pytest.mark.xfail(strict=True, reason="the trapezoid stage starts from damping forces that no step resolves")
 def test_tr_bdf2_holds_stiff_and_damped_cloth(monkeypatch):
     monkeypatch.setattr(sweep, "rows", lambda: [STIFF_AND_DAMPED])
     outcome = run_task(Task("sweep-grid", 31))
