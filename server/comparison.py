@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,9 @@ from server.digits import written
 from server.palette import MAX_VARIANTS
 from sim.scene import Scene
 from sim.settings import FIELDS, Field, Settings, convert
+
+CORES = os.cpu_count() or 1
+"""Of this computer's processors."""
 
 NOT_COMPARED = {"threads", "seed"}
 """Settings that change no cloth, or only by chance."""
@@ -65,10 +69,10 @@ class Comparison:
         return max(1, len(self.values))
 
     def settings(self, index: int) -> Settings:
-        """All settings of one variant. Each gets one thread where several variants share the machine."""
+        """All settings of one variant. All cores but the page's are shared out, unless one alone is told."""
         own = {self.by: self.values[index]} if self.by else {}
-        if self.count > 1:
-            own["threads"] = 1
+        told = self.shared.threads if self.count == 1 else 0
+        own["threads"] = told or max(1, (CORES - 1) // self.count)
         return msgspec.structs.replace(self.shared, **own)
 
     def name(self, index: int) -> str:

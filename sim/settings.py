@@ -520,13 +520,14 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         number(
             "",
             "Solver",
-            "Processor threads for one simulation; the result is the same to the bit for any number.",
-            ge=1,
+            "Processor threads for one simulation; the result is the same to the bit for any number. With 0, "
+            "variants on the page share out all cores but one, and a script takes one.",
+            ge=0,
             le=256,
             slider=(1, 4),
             label="threads",
         ),
-    ] = 1
+    ] = 0
     jitter: Annotated[
         float,
         number(

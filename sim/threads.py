@@ -16,12 +16,12 @@ _one_at_a_time = threading.Lock()
 
 @contextlib.contextmanager
 def processor_threads(count: int) -> Iterator[None]:
-    """Run kernels in the block on at most `count` threads.
+    """Run kernels in the block on at most `count` threads, on one where that is 0.
 
     Several simulations may be in such a block at once, except on Numba's workqueue layer, which may only be
     entered by one Python thread at a time.
     """
-    numba.set_num_threads(min(count, LAUNCHED))
+    numba.set_num_threads(min(max(count, 1), LAUNCHED))
     with _one_at_a_time if threading_layer() == "workqueue" else contextlib.nullcontext():
         yield
 

@@ -261,7 +261,7 @@ def crumpled(name="backward_euler", **settings):
 @pytest.mark.parametrize("name", INTEGRATORS)
 @pytest.mark.parametrize("gamma", [0.0, 0.7, 20.0])
 def test_damping_never_slows_free_fall(name, gamma):
-    """First-order steps add h v up, g h² / 2 each too much; those of second order are exact for a parabola."""
+    """First-order steps add h v up, g h² / 2 each too much; second-order ones are exact for a parabola."""
     world = crumpled(name, gamma=gamma, gravity=EARTH, altitudes="all")
     center = world.masses @ world.positions / world.masses.sum()
     h, n = world.settings.dt, 20

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from fake_world import SCENE
+from msgspec.structs import replace
 
 from server.comparison import Comparison, comparable, next_value, value_text
 from server.relevance import AT_RESET, NEEDS, why_idle
@@ -50,7 +51,16 @@ def test_next_numbers_are_far_from_those_there_are():
 def test_one_cloth_is_compared_with_nothing(comparison):
     alone = comparison.compared_by("")
     assert (alone.count, alone.name(0)) == (1, "cloth")
-    assert alone.settings(0) == alone.shared
+    assert replace(alone.settings(0), threads=0) == alone.shared
+
+
+def test_variants_share_out_all_cores_but_one_unless_told(monkeypatch):
+    of_scene = Comparison(Settings(), "contact", ("none", "impulse"))
+    for cores, alone, each in ((1, 1, 1), (2, 1, 1), (8, 7, 3)):
+        monkeypatch.setattr("server.comparison.CORES", cores)
+        assert Comparison(Settings()).settings(0).threads == alone
+        assert [of_scene.settings(i).threads for i in range(2)] == [each, each]
+    assert Comparison(Settings(threads=2)).settings(0).threads == 2
 
 
 def test_values_read_with_their_units():

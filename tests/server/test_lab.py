@@ -104,10 +104,6 @@ def test_compared_setting_reaches_its_own_variant_only(lab, client):
     assert lab.comparison.name(0) == "none"
 
 
-def test_several_variants_have_one_thread_each(lab):
-    assert [w.settings.threads for w in FakeWorld.made] == [1, 1]
-
-
 def test_comparing_by_another_setting_gives_each_variant_its_own_control(lab, client):
     client.set(client.find("compare by"), "damping ratio γ")
     wait_until(lambda: len(FakeWorld.made) == 4)
