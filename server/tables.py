@@ -68,9 +68,9 @@ def threads_line(meters: Sequence[Meter]) -> str:
     settings = next((meter.latest.settings for meter in meters if meter.ms), None)
     if settings is None:
         return ""
-    from sim.threads import LAUNCHED, threading_layer
+    from sim.threads import LAUNCHED, threading_layer, threads_of
 
-    count = min(settings.threads, LAUNCHED)
+    count = threads_of(settings.threads)
     each = " each" if len(meters) > 1 else ""
     layer = f", Numba's {name} layer" if (name := threading_layer()) else ""
     return caption(f"{count} of {LAUNCHED} threads{each}{layer}")
