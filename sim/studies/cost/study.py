@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from msgspec.structs import asdict, replace
 
 from sim.bench.hardware import hardware, versions
@@ -26,6 +27,7 @@ from sim.studies.cost.judged import curves, judged, truth
 from sim.studies.cost.plan import USUAL, Effort, Planned
 from sim.studies.cost.reference import (
     FINER,
+    ROUNDING,
     Reference,
     ReferenceError,
     comparable,
@@ -210,8 +212,10 @@ class _Study:
             limit = self._limit(REFERENCE_SHARE)
             cases = [subject.case(s, last, limit=limit) for s in reference_settings(subject.chosen, dt)]
             traces = self._made(cases, 0.15, 0.5, "the reference")
-            last = min(last, *(len(trace) - 1 for trace in traces), self._affordable(traces[0], planned))
             reference = judge(traces, dt, subject.masses, subject.length)
+            begun = int(np.argmax(reference.floor > ROUNDING))  # before, cloth falls, and all are exact
+            afforded = max(self._affordable(traces[0], planned), begun + FEWEST)
+            last = min(last, *(len(trace) - 1 for trace in traces), afforded)
             timed = timed or self._timed(planned, last)
             fine = [t.trace for t in timed if not t.trace.stopped]
             if not fine:

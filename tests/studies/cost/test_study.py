@@ -12,6 +12,7 @@ import sim
 from server.cli import main
 from sim.integrators import INTEGRATORS
 from sim.studies.cost import plan as planning
+from sim.studies.cost import study
 from sim.studies.cost.front import cheapest, front
 from sim.studies.cost.measures import Measures, distances, size
 from sim.studies.cost.nested import nested
@@ -23,6 +24,8 @@ from sim.studies.cost.workers import workers
 from tests.worlds import grid, scene
 
 pytestmark = pytest.mark.alone
+
+FLOOR = {"kind": "plane", "point": [0.0, 0.0, -0.1], "normal": [0.0, 0.0, 1.0]}
 
 SOLVED_ORDER = 0.15
 """An observed order may miss the theoretical one by this: steps of 17 ms are not yet short."""
@@ -85,6 +88,14 @@ def test_a_scene_on_which_every_method_is_exact_is_refused():
         cost(falls, {"integrator": "midpoint", "newton": 3}, seconds=0.1, effort=effort, jobs=1)
 
 
+def test_a_study_that_can_afford_only_the_fall_goes_on_until_the_cloth_lands(monkeypatch):
+    monkeypatch.setattr(study._Study, "_affordable", lambda *_: study.FEWEST)
+    lands = scene(grid(size=(0.3, 0.3), resolution=(3, 3)), FLOOR, gravity=[0, 0, -9.81], contact="penalty")
+    effort = planning.Effort(1, 0, ("bdf2", "sdirk2"), 1, 1, 0, 0, math.inf)
+    found = cost(lands, {"integrator": "midpoint", "newton": 3}, seconds=0.17, effort=effort, jobs=1)
+    assert max(run.error for run in found.runs) > 0.0
+
+
 def test_the_recommendation_is_the_cheapest_run_that_meets_the_target(report):
     fit = [
         r
@@ -124,7 +135,7 @@ def test_the_error_of_a_run_is_its_distance_from_a_run_made_directly(report, swi
 
 def test_a_scene_with_contact_sweeps_responses_and_says_that_order_is_lost(landing):
     effort = planning.Effort(1, 0, ("backward_euler", "sdirk2"), 1, 1, 2, 1, math.inf)
-    found = cost(landing, seconds=0.3, effort=effort, jobs=1)
+    found = cost(landing, seconds=0.17, effort=effort, jobs=1)
     responses = {
         (r.settings.contact, r.settings.detection) for r in found.runs if planning.RESPONSE in r.curves
     }
@@ -140,7 +151,7 @@ def test_a_scene_with_contact_sweeps_responses_and_says_that_order_is_lost(landi
 def test_progress_goes_from_nothing_to_all_and_never_back(swing):
     told = []
     effort = planning.Effort(0, 0, ("backward_euler", "sdirk2"), 1, 1, 0, 0, math.inf)
-    cost(swing, seconds=0.1, effort=effort, jobs=1, progress=lambda done, what: told.append(done))
+    cost(swing, seconds=0.17, effort=effort, jobs=1, progress=lambda done, what: told.append(done))
     assert told[0] == 0.0
     assert told[-1] == 1.0
     assert told == sorted(told)
