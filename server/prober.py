@@ -104,9 +104,14 @@ class Prober:
             self._changed = perf_counter()
 
     def stop(self) -> None:
-        """End the thread after the step that it is in."""
+        """End the thread after the step that it is in, which is waited for, but not for long.
+
+        Python that ends while a thread is in a kernel may be aborted by it.
+        """
         self.clear()
         self._jobs.put(None)
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
 
     def tick(self, bench: Bench, watched: bool) -> None:
         """Take in what the lanes stepped, and begin the next measurement if it is due."""
