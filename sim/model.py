@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim.contact.contacts import Contacts, groups
-from sim.contact.gap import GapSprings
+from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
 from sim.damping import damping_ratios
 from sim.effects import SPRINGS
 from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping, set_tension
@@ -227,6 +227,19 @@ class Model:
     def potential(self, positions: np.ndarray, contacts: GapSprings) -> float:
         """Potential energy [J] of everything that the implicit step feels."""
         return sum(self.energies(positions).values()) + contacts.energy(positions)
+
+    def gain(
+        self, x: np.ndarray, v: np.ndarray, end_x: np.ndarray, end_v: np.ndarray, h: float
+    ) -> tuple[float, float, float, float]:
+        """How much a step of h [s] from (`x`, `v`) to (`end_x`, `end_v`) raised the energy [J].
+
+        Returns that; the kinetic energies before and after it; and the work that wind may have done.
+        """
+        before, after = (0.5 * float(self.masses @ (u * u).sum(axis=1)) for u in (v, end_v))
+        # The start first: a solve has measured springs there, and where they end they are measured anyway.
+        stored, kept = (self.potential(y, NO_GAP_SPRINGS) for y in (x, end_x))
+        blown = h * max(self.wind.power(end_v), 0.0) if self.wind is not None else 0.0
+        return after - before + kept - stored, before, after, blown
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate every spring's coordinate and gradient at `positions`."""

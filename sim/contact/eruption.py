@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from sim.contact.contacts import Contacts
-from sim.contact.gap import NO_GAP_SPRINGS
 from sim.contact.response import RECOVERY_SPEED
 from sim.model import Model
 from sim.settings import Settings
@@ -44,11 +43,7 @@ def erupts(
     mass, speed = model.masses, np.linalg.norm(contacts.speed, axis=1)
     moved = np.unique(contacts.node[contacts.weight != 0.0])
     work = (1.0 + settings.friction) * float(pressed @ speed)
-    if model.wind is not None:
-        work += settings.dt * max(model.wind.power(end.velocities), 0.0)
     thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
     lifted = 0.5 * RECOVERY_SPEED**2 + settings.thickness * float(np.linalg.norm(settings.gravity))
-    before, after = (0.5 * float(mass @ (u * u).sum(axis=1)) for u in (v, end.velocities))
-    # The start first: the solve has measured springs there, and where they end they are measured anyway.
-    stored, kept = (model.potential(y, NO_GAP_SPRINGS) for y in (x, end.positions))
-    return after - before + kept - stored > work + thrown + mass.sum() * lifted + GROWTH * before
+    gain, before, _, blown = model.gain(x, v, end.positions, end.velocities, settings.dt)
+    return gain > work + blown + thrown + mass.sum() * lifted + GROWTH * before

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
+from sim.contact.gap import GapSprings
 from sim.integrators import CALM, INTEGRATORS, State, Step
 from sim.ledger import Tally
 from sim.model import Model
@@ -58,11 +58,8 @@ def take_step(
 
 def _grew(model: Model, settings: Settings, x: np.ndarray, v: np.ndarray, end: Solution) -> bool:
     """Whether a step from (`x`, `v`) that feels no contact ends with energy that nothing gave it."""
-    before, after = (0.5 * float(model.masses @ (u * u).sum(axis=1)) for u in (v, end.velocities))
-    stored, kept = (model.potential(y, NO_GAP_SPRINGS) for y in (x, end.positions))
-    blown = settings.dt * max(model.wind.power(end.velocities), 0.0) if model.wind is not None else 0.0
-    allowed = blown + GROWTH * (before + after)
-    return not after - before + kept - stored <= allowed  # also where it is no number
+    gain, before, after, blown = model.gain(x, v, end.positions, end.velocities, settings.dt)
+    return not gain <= blown + GROWTH * (before + after)  # also where it is no number
 
 
 def _advanced(
