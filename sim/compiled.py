@@ -21,9 +21,9 @@ choose_cache()  # before Numba reads where its cache is
 # OpenMP's own count keeps a step waiting ten times as long as it computes.
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
-# LLVM may do like operations on the components of a vector at once (superword-level parallelism, as C compilers
-# do by default). That reorders no sum: bits are the same, products of 3 × 3 blocks take a third less time.
-# Numba turned it off when an older LLVM had faults there; a test compares the bits.
+# LLVM may do like operations on a vector's components at once (superword-level parallelism), as C compilers
+# have it do. That reorders no sum: bits are the same, products of 3 × 3 blocks take a third less time. Numba
+# turned it off when an older LLVM had faults there; a test compares the bits.
 os.environ.setdefault("NUMBA_SLP_VECTORIZE", "1")
 
 import numba  # noqa: E402

@@ -82,6 +82,22 @@ class Candidates(NamedTuple):
         return strayed(end, self.end) <= self.skin and strayed(start, self.start) <= self.skin
 
 
+class Roles(NamedTuple):
+    """Who feels whom.
+
+    Attributes:
+        role: (n,) MOVABLE, PARTNER or both, of each vertex.
+        own: WITHIN, BETWEEN or both, what of the cloth feels cloth.
+        of_face: (f,) the piece of each triangle, negative for those of obstacles.
+        of_node: (k,) and of each of the tree's nodes, negative for those with several.
+    """
+
+    role: np.ndarray
+    own: int
+    of_face: np.ndarray
+    of_node: np.ndarray
+
+
 class BroadPhase:
     """Makes lists of candidates for a surface.
 
@@ -111,9 +127,9 @@ class BroadPhase:
         changes = np.append(0, np.cumsum(of_face[1:] != of_face[:-1]))
         several = changes[tree.begin] != changes[tree.end - 1] if len(of_face) else np.zeros(0, dtype=bool)
         of_node = np.where(several, -1, of_face[tree.begin]) if len(of_face) else np.zeros(0, dtype=np.int64)
-        self._own = own, of_face.astype(np.int32), of_node.astype(np.int32)
-        self._role = (movable * MOVABLE + partner * PARTNER).astype(np.uint8)
-        self._boxes = np.zeros((len(surface.faces), 6)), *np.zeros((2, len(tree.begin), 3))
+        role = (movable * MOVABLE + partner * PARTNER).astype(np.uint8)
+        self._roles = Roles(role, own, of_face.astype(np.int32), of_node.astype(np.int32))
+        self._boxes = np.zeros((len(surface.faces), 12)), np.zeros((len(tree.begin), 12))
         self._room = 64
 
     @property
@@ -133,19 +149,16 @@ class BroadPhase:
         Raises:
             CandidateError: where there are more than `most`.
         """
-        way = end - start
-        way -= way.mean(axis=0)  # where all go together they may as well stand still
-        lengths = np.sqrt(np.einsum("ij,ij->i", way, way))
         tree, room = self.tree, reach + 2.0 * skin * (1.0 + ROUNDING)
-        fit(self.surface.faces, tree.begin, tree.end, tree.skip, start, way, room, *self._boxes)
+        fit(self.surface.faces, tree.begin, tree.end, tree.skip, (start, end), room, *self._boxes)
         while True:
             pairs, distance = (
                 np.empty((CHUNKS, self._room, 7), dtype=np.int32),
                 np.empty((CHUNKS, self._room)),
             )
             counts = np.zeros(CHUNKS, dtype=np.int64)
-            about = self.surface, tree, self._role, *self._own, start, way, lengths, room
-            _find(*about, *self._boxes, pairs, distance, counts, self.most // LOPSIDED)
+            about = self.surface, tree, self._roles, (start, end), room, *self._boxes
+            _find(*about, pairs, distance, counts, self.most // LOPSIDED)
             most, total = int(counts.max()), int(counts.sum())
             if most <= self._room:
                 break
@@ -183,135 +196,77 @@ def strayed(positions, places):
 
 
 @kernel
-def fit(faces, begin, end, skip, start, way, room, boxes, low, high):
-    """Fill the boxes of elements on their way, least and most, and of the tree's nodes, half a room wider."""
+def fit(faces, begin, end, skip, way, room, boxes, hulls):
+    """Fill the boxes of elements and of the tree's nodes where `way` starts and ends, half a room wider."""
+    places, after = way
     for f in range(len(faces)):
         for r in range(3):
-            least, most = np.inf, -np.inf
-            for k in range(3):
-                a = start[faces[f, k], r]
-                b = a + way[faces[f, k], r]
-                least, most = min(least, a, b), max(most, a, b)
-            boxes[f, r], boxes[f, r + 3] = least - 0.5 * room, most + 0.5 * room
+            i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+            a, b, c = places[i, r], places[j, r], places[k, r]
+            boxes[f, r], boxes[f, r + 3] = min(a, b, c) - 0.5 * room, max(a, b, c) + 0.5 * room
+            a, b, c = after[i, r], after[j, r], after[k, r]
+            boxes[f, r + 6], boxes[f, r + 9] = min(a, b, c) - 0.5 * room, max(a, b, c) + 0.5 * room
     for node in range(len(begin) - 1, -1, -1):
         if skip[node] == node + 1:
-            for r in range(3):
-                least, most = np.inf, -np.inf
-                for f in range(begin[node], end[node]):
-                    least, most = min(least, boxes[f, r]), max(most, boxes[f, r + 3])
-                low[node, r], high[node, r] = least, most
+            hulls[node] = boxes[begin[node]]
+            for f in range(begin[node] + 1, end[node]):
+                _widen(hulls, node, boxes, f)
         else:
-            one, other = node + 1, skip[node + 1]
-            for r in range(3):
-                low[node, r] = min(low[one, r], low[other, r])
-                high[node, r] = max(high[one, r], high[other, r])
+            hulls[node] = hulls[node + 1]
+            _widen(hulls, node, hulls, skip[node + 1])
+
+
+@inner
+def _widen(boxes, node, others, other):
+    for side in (0, 6):
+        for r in range(side, side + 3):
+            boxes[node, r] = min(boxes[node, r], others[other, r])
+            boxes[node, r + 3] = max(boxes[node, r + 3], others[other, r + 3])
+
+
+@inner
+def _apart(boxes, a, others, b):
+    """Whether the same side of one box is beyond the other's where the way starts, and where it ends.
+
+    All goes straight and at the same time, so what is beyond a plane at both ends is beyond it all along: boxes
+    that move together pass each other as if they stood still.
+    """
+    for r in range(3):
+        if boxes[a, r + 3] < others[b, r] and boxes[a, r + 9] < others[b, r + 6]:
+            return True
+        if others[b, r + 3] < boxes[a, r] and others[b, r + 9] < boxes[a, r + 6]:
+            return True
+    return False
 
 
 @parallel_kernel
-def _find(
-    surface,
-    tree,
-    role,
-    own,
-    of_face,
-    of_node,
-    start,
-    way,
-    lengths,
-    room,
-    boxes,
-    low,
-    high,
-    pairs,
-    distance,
-    counts,
-    most,
-):
+def _find(surface, tree, roles, way, room, boxes, hulls, pairs, distance, counts, most):
     """Find the pairs of elements that are no neighbours, then those among neighbours.
 
     Leaves are dealt like cards, as those early in the order have more to compare themselves with.
     """
     for chunk in numba.prange(CHUNKS):
-        counts[chunk] = _query_leaves(
-            surface.faces,
-            surface.solid,
-            surface.edges,
-            surface.own_vertex,
-            surface.own_edge,
-            surface.crowded,
-            tree.begin,
-            tree.end,
-            tree.skip,
-            tree.leaf,
-            role,
-            own,
-            of_face,
-            of_node,
-            start,
-            way,
-            lengths,
-            room,
-            boxes,
-            low,
-            high,
-            pairs[chunk],
-            distance[chunk],
-            chunk,
-            most,
-        )
-        counts[chunk] = _near_pairs(
-            surface.faces,
-            surface.edges,
-            surface.near_vertices,
-            surface.near_edges,
-            role,
-            start,
-            way,
-            lengths,
-            room,
-            pairs[chunk],
-            distance[chunk],
-            chunk,
-            counts[chunk],
-        )
+        found = pairs[chunk], distance[chunk]
+        count = _query_leaves(surface, tree, roles, way, room, boxes, hulls, *found, chunk, most)
+        counts[chunk] = _near_pairs(surface, roles, way, room, *found, chunk, count)
 
 
 @inner
-def _query_leaves(
-    faces,
-    solid,
-    edges,
-    own_vertex,
-    own_edge,
-    crowded,
-    begin,
-    end,
-    skip,
-    leaves,
-    role,
-    own,
-    of_face,
-    of_node,
-    start,
-    way,
-    lengths,
-    room,
-    boxes,
-    low,
-    high,
-    pairs,
-    distance,
-    chunk,
-    most,
-):
-    about, count = (faces, edges, role, start, way, room, pairs, distance), 0
+def _query_leaves(surface, tree, roles, way, room, boxes, hulls, pairs, distance, chunk, most):
+    # Arrays one by one: with whole tuples, loops take longer.
+    faces, solid, edges, crowded = surface.faces, surface.solid, surface.edges, surface.crowded
+    own_vertex, own_edge = surface.own_vertex, surface.own_edge
+    begin, end, skip, leaves = tree.begin, tree.end, tree.skip, tree.leaf
+    own, of_face, of_node = roles.own, roles.of_face, roles.of_node
+    places, after = way
+    about, count = (faces, edges, roles.role, places, after, room, pairs, distance), 0
     for k in range(chunk, len(leaves), CHUNKS):
         if count > most:  # it is refused anyway
             break
         leaf = leaves[k]
         node = leaf
         while node < len(begin):
-            if end[node] <= begin[leaf] or not _overlap(low, high, leaf, node):
+            if end[node] <= begin[leaf] or _apart(hulls, leaf, hulls, node):
                 node = skip[node]
                 continue
             if _strangers(own, of_node[leaf], of_node[node]):
@@ -320,7 +275,7 @@ def _query_leaves(
             if skip[node] == node + 1:
                 for f in range(begin[leaf], end[leaf]):
                     for g in range(max(begin[node], f + 1), end[node]):
-                        if not _faces_overlap(boxes, f, g) or _neighbours(faces, crowded, f, g):
+                        if _apart(boxes, f, boxes, g) or _neighbours(faces, crowded, f, g):
                             continue
                         if _strangers(own, of_face[f], of_face[g]):
                             continue
@@ -330,33 +285,33 @@ def _query_leaves(
                                 i = faces[a, c]
                                 if not (own_vertex[a, c] and solid[b]):
                                     continue
-                                if not _vertex_apart(faces, start, lengths, room, i, b):
+                                if not _vertex_apart(faces, places, after, room, i, b):
                                     count = _keep(VERTEX_TRIANGLE, i, b, *about, count)
                         for c in range(3):
                             for d in range(3):
                                 one, other = own_edge[f, c], own_edge[g, d]
                                 if one < 0 or other < 0:
                                     continue
-                                if not _edges_apart(edges, start, lengths, room, one, other):
+                                if not _edges_apart(edges, places, after, room, one, other):
                                     count = _keep(EDGE_EDGE, one, other, *about, count)
             node += 1
     return count
 
 
 @inner
-def _near_pairs(
-    faces, edges, near_vertices, near_edges, role, start, way, lengths, room, pairs, distance, chunk, count
-):
-    about = faces, edges, role, start, way, room, pairs, distance
+def _near_pairs(surface, roles, way, room, pairs, distance, chunk, count):
+    faces, edges, (places, after) = surface.faces, surface.edges, way
+    near_vertices, near_edges = surface.near_vertices, surface.near_edges
+    about = faces, edges, roles.role, places, after, room, pairs, distance
     part = share(chunk, len(near_vertices))
     for k in range(part[0], part[1]):
         i, f = near_vertices[k, 0], near_vertices[k, 1]
-        if not _vertex_apart(faces, start, lengths, room, i, f):
+        if not _vertex_apart(faces, places, after, room, i, f):
             count = _keep(VERTEX_TRIANGLE, i, f, *about, count)
     part = share(chunk, len(near_edges))
     for k in range(part[0], part[1]):
         one, other = near_edges[k, 0], near_edges[k, 1]
-        if not _edges_apart(edges, start, lengths, room, one, other):
+        if not _edges_apart(edges, places, after, room, one, other):
             count = _keep(EDGE_EDGE, one, other, *about, count)
     return count
 
@@ -370,18 +325,6 @@ def _strangers(own, a, b):
 
 
 @inner
-def _overlap(low, high, a, b):
-    return (
-        low[a, 0] <= high[b, 0]
-        and low[b, 0] <= high[a, 0]
-        and low[a, 1] <= high[b, 1]
-        and low[b, 1] <= high[a, 1]
-        and low[a, 2] <= high[b, 2]
-        and low[b, 2] <= high[a, 2]
-    )
-
-
-@inner
 def _neighbours(faces, crowded, f, g):
     for a in range(3):
         for b in range(3):
@@ -391,42 +334,36 @@ def _neighbours(faces, crowded, f, g):
 
 
 @inner
-def _faces_overlap(boxes, f, g):
-    return (
-        boxes[f, 0] <= boxes[g, 3]
-        and boxes[g, 0] <= boxes[f, 3]
-        and boxes[f, 1] <= boxes[g, 4]
-        and boxes[g, 1] <= boxes[f, 4]
-        and boxes[f, 2] <= boxes[g, 5]
-        and boxes[g, 2] <= boxes[f, 5]
-    )
-
-
-@inner
-def _vertex_apart(faces, start, lengths, room, i, f):
-    """Whether a direction and the lengths of ways tell a vertex and a triangle apart, as they do most pairs.
+def _vertex_apart(faces, places, after, room, i, f):
+    """Whether a direction tells a vertex and a triangle apart at both ends of the way, as it does most pairs.
 
     Here and below a small function with few arrays: a call of `_keep` costs more than all that this does.
     """
     j, k, m = faces[f, 0], faces[f, 1], faces[f, 2]
-    a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
+    a, b, c, d = row(places, i), row(places, j), row(places, k), row(places, m)
     n = sub(scale(3.0, a), add(b, add(c, d)))
-    reach = room + lengths[i] + max(lengths[j], lengths[k], lengths[m])
-    return min(dot(n, sub(a, b)), dot(n, sub(a, c)), dot(n, sub(a, d))) > reach * norm(n)
+    reach = room * norm(n)
+    if not min(dot(n, sub(a, b)), dot(n, sub(a, c)), dot(n, sub(a, d))) > reach:
+        return False
+    a, b, c, d = row(after, i), row(after, j), row(after, k), row(after, m)
+    return min(dot(n, sub(a, b)), dot(n, sub(a, c)), dot(n, sub(a, d))) > reach
 
 
 @inner
-def _edges_apart(edges, start, lengths, room, one, other):
+def _edges_apart(edges, places, after, room, one, other):
     """And two edges."""
     i, j, k, m = edges[one, 0], edges[one, 1], edges[other, 0], edges[other, 1]
-    a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
+    a, b, c, d = row(places, i), row(places, j), row(places, k), row(places, m)
     n = sub(add(a, b), add(c, d))
-    reach = room + max(lengths[i], lengths[j]) + max(lengths[k], lengths[m])
-    return min(dot(n, a), dot(n, b)) - max(dot(n, c), dot(n, d)) > reach * norm(n)
+    reach = room * norm(n)
+    if not min(dot(n, a), dot(n, b)) - max(dot(n, c), dot(n, d)) > reach:
+        return False
+    a, b, c, d = row(after, i), row(after, j), row(after, k), row(after, m)
+    return min(dot(n, a), dot(n, b)) - max(dot(n, c), dot(n, d)) > reach
 
 
 @inner
-def _keep(kind, one, other, faces, edges, role, start, way, room, pairs, distance, count):
+def _keep(kind, one, other, faces, edges, role, places, after, room, pairs, distance, count):
     """Count the pair, and write it down where there is place, if it may come within `room`."""
     if kind == VERTEX_TRIANGLE:
         i, j, k, m = one, faces[other, 0], faces[other, 1], faces[other, 2]
@@ -436,8 +373,14 @@ def _keep(kind, one, other, faces, edges, role, start, way, room, pairs, distanc
         return count
     if i in (k, m) or j in (k, m) or (kind == VERTEX_TRIANGLE and i == j):
         return count
-    a, b, c, d = row(start, i), row(start, j), row(start, k), row(start, m)
-    reach = room + passing(kind, row(way, i), row(way, j), row(way, k), row(way, m))
+    a, b, c, d = row(places, i), row(places, j), row(places, k), row(places, m)
+    ways = (
+        sub(row(after, i), a),
+        sub(row(after, j), b),
+        sub(row(after, k), c),
+        sub(row(after, m), d),
+    )
+    reach = room + passing(kind, *ways)
     apart = norm(separation(nearest(kind, a, b, c, d), a, b, c, d))
     if apart > reach:
         return count
