@@ -228,7 +228,7 @@ def _widen(boxes, node, others, other):
 def _apart(boxes, a, others, b):
     """Whether the same side of one box is beyond the other's where the way starts, and where it ends.
 
-    All goes straight and at the same time, so what is beyond a plane at both ends is beyond it all along: boxes
+    All goes straight and at the same time, so what is beyond a plane at both ends is so all along: boxes
     that move together pass each other as if they stood still.
     """
     for r in range(3):
