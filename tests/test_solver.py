@@ -117,7 +117,6 @@ def test_conjugate_gradients_find_the_dense_solution_with_fixed_vertices():
         x,
         np.zeros_like(b),
         1e-10,
-        1.0,
         10_000,
     )
     kept = np.repeat(free, 3)

@@ -60,11 +60,6 @@ class GapSprings(NamedTuple):
         pairs = self.contacts.node[: self.pairs], self.contacts.weight[: self.pairs]
         return build_coupling(len(positions), *pairs, self.elements.tensor[: self.pairs])
 
-    @property
-    def rubs(self) -> bool:
-        """Whether there is friction to be estimated anew."""
-        return bool(self.drag.any())
-
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.
 

@@ -125,7 +125,7 @@ def _farthest(x, old):
 
 
 @kernel
-def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, tolerance, rough, most):
+def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, tolerance, most):
     """Solve A x = b on free vertices.
 
     Args:
@@ -137,7 +137,6 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
         x: (n, 3) the guess, overwritten by the solution; fixed entries must be zero.
         shortcut: (n, 3) a direction that may hold most of the error (free fall), or zero.
         tolerance: Error |x_i − x*_i| allowed at the worst vertex i.
-        rough: Times that at which it may stop already, where it knows the error by an estimate alone.
         most: Iterations after which it gives up.
 
     Returns:
@@ -182,7 +181,7 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
                 rate = min(max(math.sqrt(drop / dropped), far / went if went > 0.0 else 0.0), SLOWEST)
                 estimate = max(SAFETY * far * rate / (1.0 - rate), LEVERAGE * math.sqrt(residual))
             went, dropped, drop = far, drop, 0.0
-            if estimate <= rough * tolerance:
+            if estimate <= tolerance:
                 return k + 1, estimate, CONVERGED
         turn(p, z, rz / before)
     return most, estimate, EXHAUSTED

@@ -24,10 +24,6 @@ from sim.solve.preconditioner import refresh
 MOST_ITERATIONS = 5000
 """Iterations after which a linear solve gives up; what it has then is still a descent direction."""
 
-ROUGH = 3.0
-"""Times the tolerance that a solve first stops at where friction is to be estimated from it: its first digit
-tells as much, and the rest of the way is gone once, with the friction that acts."""
-
 LARGEST_DIRECT = 20_000
 """Vertices above which "auto" never factors: memory and time grow too fast."""
 
@@ -135,15 +131,13 @@ def backward_euler(
         exact = newton > filtered
         lag = v_hat if newton == 1 else velocities  # the first iterate stands still, which air would not feel
         forces = model.linearise(at, velocities, contacts, h, exact, lag)
-        rough = ROUGH if contacts.rubs else 1.0
-        linear = _solve(model, loose, settings, forces, change, guess, shortcut, h, rough)
+        linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         if exact and linear.broken:
             exact, forces = False, model.linearise(at, velocities, contacts, h)
-            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h, rough)
+            linear = _solve(model, loose, settings, forces, change, guess, shortcut, h)
         iterations += linear.iterations
         end = velocities + linear.step
-        rubbed = contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces)
-        if rubbed or (linear.converged and linear.error > settings.tolerance):
+        if contacts.settle(velocities, x_hat + h * end, end, model, settings.friction, h, forces):
             go_on = linear.step, np.zeros_like(guess), h
             linear = _solve(model, loose, settings, forces, change, *go_on, anew=False)
             if exact and linear.broken:  # what the first solve did not come across, this one may
@@ -213,8 +207,8 @@ class _Linear:
     solver: str
 
 
-def _solve(model, loose, settings, forces, change, guess, shortcut, h, rough=1.0, anew=True) -> _Linear:
-    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step, or `rough` times that.
+def _solve(model, loose, settings, forces, change, guess, shortcut, h, anew=True) -> _Linear:
+    """Solve A step = M `change` + h `forces`, to settings.tolerance in h · step.
 
     On `loose` pieces, which nothing holds from outside, A moves a translation like M alone does: what
     the residual has of one is taken out exactly, so that the tolerance costs no momentum. The preconditioner
@@ -229,9 +223,7 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h, rough=1.0
         refresh(model.preconditioner, model.matrix)
     right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
     system = model.matrix, model.coupling, model.preconditioner
-    iterations, error, status = conjugate_gradients(
-        *system, model.work, rest, step, shortcut, allowed, rough, most
-    )
+    iterations, error, status = conjugate_gradients(*system, model.work, rest, step, shortcut, allowed, most)
     if status == EXHAUSTED and most < MOST_ITERATIONS:
         return _solve_directly(model, settings, right, h, iterations)
     step += _drift(model, loose, rest)

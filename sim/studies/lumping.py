@@ -261,7 +261,6 @@ def own_iterations(system: System) -> int:
         none.copy(),
         none,
         allowed,
-        1.0,
         MOST,
     )
     return int(count)
