@@ -380,6 +380,8 @@ def _contact(
         words += f"; in {report.substeps} parts, as in one it would have tangled or put energy in"
     if report.pinched:
         words += f"; pinched: obstacles leave {report.pinched} vertices less room than the thickness"
+    if report.overrun:
+        words += f"; overrun: obstacles go over {report.overrun} vertices that are pinned, or have no way out"
     if report.held_back:
         words += f"; {report.held_back} vertices held back from what they would have met"
     return words + _tunnelling(settings, report, settings.thickness)

@@ -6,6 +6,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sim.contact.contacts import Contacts
 
 
 class StepError(RuntimeError):
@@ -50,6 +54,8 @@ class StepReport:
         held_back: Vertices that had to be held back, as no impulse led them past what they would have met.
         failsafes: Parts of the step in which that happened.
         pinched: Vertices between obstacles that leave them less room than the thickness on both sides.
+        overrun: Vertices that an obstacle ran over: they are pinned, or had nowhere to go.
+        overruns: Parts of the step in which one did though they could move.
         substeps: Parts that the step was done in.
         integrator: What took the step: the setting, or what stood in for it.
         effects: Each effect and whether it ran, or why not.
@@ -90,6 +96,8 @@ class StepReport:
     held_back: int = 0
     failsafes: int = 0
     pinched: int = 0
+    overrun: int = 0
+    overruns: int = 0
     substeps: int = 1
     integrator: str = ""
     effects: dict[str, str] = field(default_factory=dict)
@@ -108,6 +116,11 @@ class StepReport:
     discarded: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)
     _within: float = field(default=0.0, repr=False)
+
+    def run_over(self, contacts: Contacts) -> None:
+        """Note the vertices of contacts that nothing could be done about."""
+        node = contacts.node[contacts.weight != 0.0]
+        self.overrun = max(self.overrun, len(set(node.tolist())))
 
     @contextmanager
     def spent(self, effect: str) -> Iterator[None]:

@@ -37,8 +37,8 @@ LOPSIDED = 8
 ROUNDING = 1e-9
 """Part by which skins are a little wider than they say."""
 
-MOVABLE, PARTNER = 1, 2
-"""What a vertex may be; a pair of features needs some of both."""
+MOVABLE, PARTNER, CLOTH = 1, 2, 4
+"""What a vertex may be; a pair of features needs some of each."""
 
 WITHIN, BETWEEN = 1, 2
 """Whether a piece of cloth feels itself, and whether pieces feel each other."""
@@ -86,7 +86,7 @@ class Roles(NamedTuple):
     """Who feels whom.
 
     Attributes:
-        role: (n,) MOVABLE, PARTNER or both, of each vertex.
+        role: (n,) MOVABLE, PARTNER and CLOTH, what each vertex is.
         own: WITHIN, BETWEEN or both, what of the cloth feels cloth.
         of_face: (f,) the piece of each triangle, negative for those of obstacles.
         of_node: (k,) and of each of the tree's nodes, negative for those with several.
@@ -104,9 +104,10 @@ class BroadPhase:
     Args:
         surface: What can touch.
         tree: Over its elements.
-        movable: (n,) bool, vertices that can move; a pair without any is none.
+        movable: (n,) bool, vertices that may move; a pair without any is none.
         partner: (n,) bool, vertices that others may touch; a pair without any is none.
-        piece: (n,) int, the piece of cloth that vertices are of, negative for those of obstacles.
+        piece: (n,) int, the piece of cloth that vertices are of, negative for those of obstacles; a pair
+            without any cloth is none.
         own: WITHIN, BETWEEN or both, what of the cloth feels cloth.
     """
 
@@ -127,7 +128,7 @@ class BroadPhase:
         changes = np.append(0, np.cumsum(of_face[1:] != of_face[:-1]))
         several = changes[tree.begin] != changes[tree.end - 1] if len(of_face) else np.zeros(0, dtype=bool)
         of_node = np.where(several, -1, of_face[tree.begin]) if len(of_face) else np.zeros(0, dtype=np.int64)
-        role = (movable * MOVABLE + partner * PARTNER).astype(np.uint8)
+        role = (movable * MOVABLE + partner * PARTNER + (piece >= 0) * CLOTH).astype(np.uint8)
         self._roles = Roles(role, own, of_face.astype(np.int32), of_node.astype(np.int32))
         self._boxes = np.zeros((len(surface.faces), 12)), np.zeros((len(tree.begin), 12))
         self._room = 64
@@ -369,7 +370,7 @@ def _keep(kind, one, other, faces, edges, role, places, after, room, pairs, dist
         i, j, k, m = one, faces[other, 0], faces[other, 1], faces[other, 2]
     else:
         i, j, k, m = edges[one, 0], edges[one, 1], edges[other, 0], edges[other, 1]
-    if role[i] | role[j] | role[k] | role[m] != MOVABLE | PARTNER:
+    if role[i] | role[j] | role[k] | role[m] != MOVABLE | PARTNER | CLOTH:
         return count
     if i in (k, m) or j in (k, m) or (kind == VERTEX_TRIANGLE and i == j):
         return count

@@ -7,11 +7,12 @@ come nearer than a part of the thickness: a chord between vertices at the whole 
 Everything is seen from the obstacle, which is convex. A direction in which all three vertices are beyond its
 farthest point sets the two apart, and since vertices go straight, it tells until when. Such a direction is
 that between the nearest points, so detection advances from time to time as it does for pairs of cloth
-(`sim.contact.impact`), and misses nothing. Planes are left out: what is flat has no way between vertices.
+(`sim.contact.impact`), and misses nothing. What is flat has no way between vertices: planes meet these alone.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -21,7 +22,7 @@ from sim.contact.closest import edge_edge, vertex_triangle
 from sim.contact.contacts import NO_CONTACTS, Contacts, make_contacts
 from sim.contact.detect import SAME_SIDE, into_frame, turn
 from sim.contact.hold import go_at_most
-from sim.contact.obstacles import ROUNDED, Obstacles, Poses, Shapes, shape_of
+from sim.contact.obstacles import PLANE, ROUNDED, Obstacles, Poses, Shapes, shape_of
 from sim.mesh import Mesh, bare_edges
 
 CUT = 0.5
@@ -69,9 +70,11 @@ class Faces:
 
     def __init__(self, mesh: Mesh, free: np.ndarray, obstacles: Obstacles, first_key: int) -> None:
         faces = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
-        self._free = free
-        self._faces = np.ascontiguousarray(faces[free[faces].any(axis=1)], dtype=np.int32)
-        self._first_key, self._room = first_key, 64
+        movable = free[faces].any(axis=1)
+        order, moves = np.argsort(~movable, kind="stable"), any(part.path for part in obstacles.parts)
+        self._free, self._movable = free, int(np.count_nonzero(movable))
+        self._faces = np.ascontiguousarray(faces[order[: None if moves else self._movable]], dtype=np.int32)
+        self._first_key, self._room, self._shapes = first_key, 64, len(obstacles.parts)
         self.last_key = first_key + len(self._faces) * len(obstacles.parts)
 
     def begin(
@@ -84,39 +87,65 @@ class Faces:
         self._step = x, before, after, h, thickness
         return self._found(shapes, x, REACH * thickness, CUT * thickness, continuous=False)
 
-    def hits(self, end: np.ndarray, shapes: Shapes | None) -> Contacts:
-        """Contacts of what meets one of `shapes` before the vertices are at `end` (n, 3) [m]."""
-        gap = GAP * self._step[-1]
-        return self._found(shapes, end, gap, AFTER * gap, continuous=True)
+    def hits(self, end: np.ndarray, shapes: Shapes | None, part: float = 1.0) -> Contacts:
+        """Contacts of what meets one of `shapes` before the vertices are at `end` (n, 3) [m].
 
-    def own(self, hits: Contacts) -> np.ndarray:
-        """(c,) bool, which contacts are between a triangle and an obstacle."""
-        return (hits.key >= self._first_key) & (hits.key < self.last_key)
+        To meet is to come nearer than a `part` of the gap.
+        """
+        gap = part * GAP * self._step[-1]
+        found = self._found(shapes, end, gap, AFTER * gap, continuous=True)
+        return found if shapes is None else found.and_also(self._through_planes(shapes, end, gap))
 
-    def carry(self, hits: Contacts, rest: np.ndarray, carrier: np.ndarray) -> None:
+    def obstacle(self, contacts: Contacts) -> np.ndarray:
+        """(c,) the obstacle that contacts with one are with, NOBODY for others."""
+        one, face = contacts.key < self._first_key, contacts.key - self._first_key
+        of_face = np.where(contacts.key < self.last_key, face // max(len(self._faces), 1), NOBODY)
+        return np.where(one, contacts.key % max(self._shapes, 1), of_face)
+
+    def along(self, o: int, which: np.ndarray) -> np.ndarray:
+        """(k, 3) where the vertices `which` end that go along with obstacle o [m]."""
+        x, before, after, *_ = self._step
+        local = (x[which] - before.position[o]) @ before.rotation[o]
+        return local @ after.rotation[o].T + after.position[o]
+
+    def carry(
+        self, hits: Contacts, obstacle: np.ndarray, rest: np.ndarray, carrier: np.ndarray, held: np.ndarray
+    ) -> bool:
         """Let `rest` (n, 3) [m] of the vertices in `hits` be where the obstacle takes what goes along.
 
-        `carrier` (n,) is the obstacle that each one goes along with, NOBODY at first. A vertex that meets
-        several of them is between their jaws: it goes with none.
+        `obstacle` (c,) is the one that each hit is with, or NOBODY: what met there is already `held` (n,)
+        bool near where it rests, and goes along with what it meets. `carrier` (n,) is the obstacle that each
+        vertex goes along with, NOBODY at first. A vertex that meets several of them is between their jaws: it
+        goes with none. Returns whether any goes along that did not.
         """
-        x, before, after, *_ = self._step
-        hits = hits.only(self.own(hits))
-        obstacle = (hits.key - self._first_key) // max(len(self._faces), 1)
-        for o in np.unique(obstacle):
-            node = hits.node[obstacle == o]
-            which = np.unique(node[self._free[node]])
-            carrier[which] = np.where((carrier[which] == NOBODY) | (carrier[which] == o), o, SEVERAL)
-            local = (x[which] - before.position[o]) @ before.rotation[o]
-            along = local @ after.rotation[o].T + after.position[o]
-            rest[which] = np.where((carrier[which] == o)[:, None], along, x[which])
+        before = carrier.copy()
+        for c in np.flatnonzero((obstacle == NOBODY) & held[hits.node].all(axis=1)):
+            others = np.unique(before[hits.node[c]])
+            others = others[others >= 0]
+            if len(others):
+                self._take(others[0], hits.node[c], rest, carrier)
+        for o in np.unique(obstacle[obstacle != NOBODY]):
+            if self._moves(o):
+                self._take(o, np.unique(hits.node[obstacle == o]), rest, carrier)
+        return bool((carrier != before).any())
+
+    def _moves(self, o: int) -> bool:
+        """Whether obstacle o moves in this step."""
+        _, before, after, *_ = self._step
+        return any((a[o] != b[o]).any() for a, b in zip(before, after, strict=True))
+
+    def _take(self, o: int, which: np.ndarray, rest: np.ndarray, carrier: np.ndarray) -> None:
+        """Let the vertices `which` that can move go along with obstacle o, unless they do with another."""
+        which, x = which[self._free[which]], self._step[0]
+        carrier[which] = np.where((carrier[which] == NOBODY) | (carrier[which] == o), o, SEVERAL)
+        rest[which] = np.where((carrier[which] == o)[:, None], self.along(o, which), x[which])
 
     def shorten(self, end: np.ndarray, hits: Contacts, rest: np.ndarray) -> np.ndarray:
-        """Let the faces in `hits` go no farther to `end` than they can without meeting what they rest beside.
+        """Let vertices in `hits` go no farther to `end` than they can without meeting what they rest beside.
 
         That is a part of their distance at the start away from `rest` (n, 3) [m]. Returns the vertices that
         would have gone farther.
         """
-        hits = hits.only(self.own(hits))
         least = np.full(len(end), np.inf)
         np.minimum.at(least, hits.node.ravel(), np.repeat(hits.start, 4))
         which = np.flatnonzero(least < np.inf)
@@ -130,8 +159,9 @@ class Faces:
         start, before, after, h, _ = self._step
         while True:
             found = make_contacts(self._room)
-            way = shapes, before, after, self._faces, start, end, h
-            count = _sweep(*way, gap, keep, continuous, found)
+            faces = self._faces if continuous else self._faces[: self._movable]
+            way = shapes, before, after, faces, start, end, h
+            count = _sweep(*way, gap, keep, continuous, len(self._faces), found)
             if count <= self._room:
                 break
             self._room = count + count // 4
@@ -139,10 +169,31 @@ class Faces:
         contacts.key[:] += self._first_key
         return contacts
 
+    def _through_planes(self, shapes: Shapes, end: np.ndarray, gap: float) -> Contacts:
+        """Contacts of vertices that come nearer than `gap` [m] to a plane before they are at `end` (n, 3)."""
+        x, before, after, h, _ = self._step
+        found = [NO_CONTACTS]
+        for o in np.flatnonzero(shapes.kind == PLANE):
+            start = (x - before.position[o]) @ before.rotation[o]
+            normal = after.rotation[o][:, 2]
+            height = (end - after.position[o]) @ normal
+            which = np.flatnonzero((start[:, 2] > 0.0) & (height < np.minimum(gap, ROOM * start[:, 2])))
+            contacts = make_contacts(len(which))
+            contacts.key[:], contacts.node[:] = which * self._shapes + o, which[:, None]
+            contacts.weight[:, 0], contacts.normal[:] = 1.0, normal
+            contacts.start[:], contacts.offset[:] = start[which, 2], normal @ after.position[o]
+            contacts.speed[:] = (self.along(o, which) - x[which]) / h
+            contacts.thickness[:] = np.minimum(AFTER * gap, start[which, 2])
+            found.append(contacts)
+        return functools.reduce(Contacts.and_also, found)
+
 
 @kernel
-def _sweep(shapes, before, after, faces, start, end, h, gap, keep, continuous, found):
-    """Fill `found` with contacts; return how many there are, even where there is no room for them."""
+def _sweep(shapes, before, after, faces, start, end, h, gap, keep, continuous, numbers, found):
+    """Fill `found` with contacts; return how many there are, even where there is no room for them.
+
+    Keys leave room for so many `numbers` of faces.
+    """
     count = 0
     a, b = np.empty_like(start), np.empty_like(start)
     for o in range(len(shapes.kind)):
@@ -170,7 +221,7 @@ def _sweep(shapes, before, after, faces, start, end, h, gap, keep, continuous, f
                 w, s, n = ahead, p, m
             if count < len(found.key):
                 _write(found, count, shape, before, after, o, h, w, s, n)
-                found.key[count] = o * len(faces) + f
+                found.key[count] = o * numbers + f
                 found.start[count] = apart
                 found.thickness[count] = min(keep, apart) if continuous else keep
                 for c in range(4):

@@ -45,6 +45,9 @@ MARGIN = 1e-9
 MOST_LISTS = 8
 """Times the longest list that may be gone through in one step: what takes longer is cloth that blows up."""
 
+MOST_ASKED = 8_000_000
+"""Pairs that may be asked in one step however small the cloth is: some ten seconds, for many parts."""
+
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
@@ -80,6 +83,7 @@ class Pairs:
         solid: Mesh obstacles, k vertices, where they are at first.
         feels: What cloth feels of cloth, beside mesh obstacles.
         first_key: Keys of contacts start here.
+        moves: (k,) bool, which vertices of mesh obstacles may move; none if left out.
 
     Attributes:
         exhaustive: Whether to make every list anew and look at all of it, whatever bounds say.
@@ -95,7 +99,15 @@ class Pairs:
         counts: (parts, 2) how many pairs are on the list.
     """
 
-    def __init__(self, mesh: Mesh, free: np.ndarray, solid: Solid, feels: Feels, first_key: int) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        free: np.ndarray,
+        solid: Solid,
+        feels: Feels,
+        first_key: int,
+        moves: np.ndarray | None = None,
+    ) -> None:
         n = len(free)
         self._mesh, self._n, self._first_key, self.feels, self.solid = mesh, n, first_key, feels, solid
         self.exhaustive, self.lists, self.looks, self.sweeps = False, 0, 0, 0
@@ -109,10 +121,13 @@ class Pairs:
         vertices, lines = (np.concatenate(pair) for pair in zip(felt, flat, strict=True))
         self._surface = self._surface.without(vertices, lines | (not feels.edges))
         outside = np.arange(len(places)) >= n
-        movable = np.concatenate([free, np.zeros(len(solid.vertices), dtype=bool)])
+        moves = np.zeros(len(solid.vertices), dtype=bool) if moves is None else moves
+        self._free = np.concatenate([free, np.zeros(len(moves), dtype=bool)])
         self._piece = np.concatenate([mesh.pieces, -1 - solid.part])
         own = WITHIN * feels.within | BETWEEN * feels.between
-        self._broad = BroadPhase(self._surface, tree, movable, outside | (own > 0), self._piece, own)
+        self._broad = BroadPhase(
+            self._surface, tree, np.concatenate([free, moves]), outside | (own > 0), self._piece, own
+        )
         self._parts = PARTS + int(solid.part.max(initial=-1)) + 1
         self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
         ends = mesh.rest_vertices[mesh.edges]
@@ -156,6 +171,7 @@ class Pairs:
         pairs, weight = known, self._measure(known)
         distance = self._distance
         close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
+        close = close[self._free[pairs.node[close]].any(axis=1)]
         close = close[~self._as_at_rest(pairs, close)]
         close = close[~self._beside(pairs.node[close], pairs.kind[close], distance[close], weight[close])]
         self._count(pairs, close)
@@ -164,10 +180,13 @@ class Pairs:
         keep = np.full(len(close), self.thickness)
         return self._contacts(pairs, close, weight[close], normal, keep)
 
-    def hits(self, end: np.ndarray) -> Contacts:
-        """Contacts of pairs that meet before the cloth's vertices are at `end` (n, 3) [m]."""
+    def hits(self, end: np.ndarray, part: float = 1.0) -> Contacts:
+        """Contacts of pairs that meet before the cloth's vertices are at `end` (n, 3) [m].
+
+        To meet is to come nearer than a `part` of the gap.
+        """
         pairs = self._listed(end)
-        p, gap = len(pairs.kind), GAP * self.thickness
+        p, gap = len(pairs.kind), part * GAP * self.thickness
         way = self._start, np.concatenate([end, self._after])
         far = 2.0 * strayed(way[1], way[0])
         if self._apart - far > gap and not self.exhaustive:
@@ -182,17 +201,29 @@ class Pairs:
         keep = np.minimum(AFTER * gap, self._distance[met])
         return self._contacts(pairs, met, weight[met], normal[met], keep)
 
-    def shorten(self, end: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """Let the vertices `which` of `end` go no farther than they can without meeting anything.
+    def obstacle(self, contacts: Contacts) -> np.ndarray:
+        """(c,) the obstacle that each contact of a pair is with, −1 where both of it are cloth."""
+        faces, edges, piece = self._surface.faces, self._surface.edges, self._piece
+        number, first = contacts.key - self._first_key, len(self._start) * len(faces)
+        of_edges, least = number >= first, np.empty(len(number), dtype=np.int64)
+        vertex, face = np.divmod(number[~of_edges], len(faces))
+        least[~of_edges] = np.minimum(piece[vertex], piece[faces[face, 0]])
+        one, other = np.divmod(number[of_edges] - first, max(len(edges), 1))
+        least[of_edges] = np.minimum(piece[edges[one, 0]], piece[edges[other, 0]])
+        return np.maximum(-1 - least, -1)
 
-        Returns those of them that would have gone farther.
+    def shorten(self, end: np.ndarray, which: np.ndarray, rest: np.ndarray) -> np.ndarray:
+        """Let the vertices `which` of `end` go no farther from `rest` than they can without meeting anything.
+
+        That is a part of their distance at the start from what is nearest, `rest` (n, 3) [m]. Returns those
+        of them that would have gone farther.
         """
         pairs = self._listed(end)
         self._note(np.inf)
         self._look(pairs)
         least = np.full(len(self._start), np.inf)
         np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
-        return go_at_most(self._start, end, which, NEARER * least[which])
+        return go_at_most(rest, end, which, NEARER * least[which])
 
     def _listed(self, end: np.ndarray) -> Candidates:
         """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""
@@ -224,7 +255,7 @@ class Pairs:
         if len(self._distance) != len(pairs.kind):
             self._measure(pairs)
         self.asked += len(pairs.kind)
-        if self.asked > MOST_LISTS * self._broad.most:
+        if self.asked > max(MOST_ASKED, MOST_LISTS * self._broad.most):
             raise CandidateError(
                 f"{self.asked:,} times a pair was asked whether it meets, too often for one step"
             )

@@ -9,7 +9,6 @@ no farther than they can without meeting anything.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -54,8 +53,20 @@ NEWTON = 2
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
 
+MOST_DEEPER = 7
+"""Times that a step is halved beyond that where an obstacle would run over what is held back."""
+
+MOST_OVERRUNS = 4
+"""Parts of a step in which one did after all: it is a pinch, and no other part is halved so often for it."""
+
+TOUCHING = 1e-3
+"""Part of the usual gap within which an obstacle touches what is pinned, and does not pass it closely."""
+
 MOST_TURNS = 4
 """Turns of holding back what meets, and what meets that, before all vertices are."""
+
+STUCK = 12
+"""Turns of holding back all vertices; more than three are never needed where they are of use."""
 
 NO_JOINS = np.zeros((0, 2), dtype=np.int64)
 
@@ -74,6 +85,7 @@ class _Way:
     solve: Solve
     report: StepReport
     part: Part | Unbooked
+    deepest: bool = False
     erupted: bool = False
 
     @cached_property
@@ -199,8 +211,9 @@ class Pipeline:
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
         part = Part(self._model, x, v) if self.booked else UNBOOKED
-        way = _Way(settings, *poses, x, v, solve, report, part)
-        last = halvings == 0 or report.failsafes >= MOST_FAILSAFES
+        last = halvings <= 0 or report.failsafes >= MOST_FAILSAFES
+        deepest = halvings == -MOST_DEEPER or (halvings <= 0 and report.overruns >= MOST_OVERRUNS)
+        way = _Way(settings, *poses, x, v, solve, report, part, deepest)
         found = self._attempt(way, response, pairs, touched, last)
         if way.erupted and settings.newton < NEWTON:
             settings = replaced(settings, newton=NEWTON)
@@ -299,7 +312,9 @@ class Pipeline:
             return None
         pairs = self._pairs
         if pairs is None or pairs.feels != feels or pairs.solid is not felt.solid:
-            pairs = self._pairs = Pairs(mesh, self._unpinned, felt.solid, feels, self._faces.last_key)
+            moves = np.array([bool(part.path) for part in self.obstacles.parts], dtype=bool)
+            about = mesh, self._unpinned, felt.solid, feels, self._faces.last_key
+            pairs = self._pairs = Pairs(*about, moves[felt.solid.part])
         forced = "on" in (s.self_collision, s.cloth_collision, s.edge_edge, s.obstacles)
         pairs.exhaustive = forced or bool(felt.forced.any())
         return pairs
@@ -343,19 +358,47 @@ class Pipeline:
             if part:
                 report.costs[name] = report.costs.get(name, 0.0) + ms * part / (sum(parts) + edges)
 
-    def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> Contacts:
-        """Pairs, and faces and obstacles, that meet on the way to `end`."""
+    def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray, part: float = 1.0) -> Contacts:
+        """Pairs, and faces and obstacles, that meet on the way to `end`, to a `part` of the usual gap."""
         if way.settings.contact == "none" or way.settings.detection == "static":
             return NO_CONTACTS
         report, listed = way.report, 0.0 if pairs is None else pairs.listing
         with report.spent("continuous_detection"):
-            hits = NO_CONTACTS if pairs is None else pairs.hits(end)
-            hits = hits.and_also(self._faces.hits(end, self._near(way, end)))
+            hits = NO_CONTACTS if pairs is None else pairs.hits(end, part)
+            hits = hits.and_also(self._faces.hits(end, self._near(way, end), part))
         if pairs is not None and pairs.listing > listed:  # a list serves static detection just as well
             made = 1e3 * (pairs.listing - listed)
             report.costs["continuous_detection"] -= made
             self._share(report, pairs, made)
         return self._acting(hits, way)
+
+    def _met(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> tuple[Contacts, Contacts]:
+        """What meets on the way to `end` and can be pushed apart, and what obstacles run over.
+
+        That weighs nothing that can move. With the obstacle that runs over a vertex, its other contacts are
+        let go, too.
+        """
+        hits, inverse_masses = self._hits(way, pairs, end), self._model.inverse_masses
+        fixed = ~np.isfinite(hits.masses(inverse_masses))
+        if not fixed.any():
+            return hits, NO_CONTACTS
+        hits, lost = hits.only(~fixed), self._hits(way, pairs, end, TOUCHING)
+        lost = lost.only(~np.isfinite(lost.masses(inverse_masses)))
+        of_hits, of_lost = self._partners(pairs, hits), self._partners(pairs, lost)
+        gone = np.zeros(len(of_hits), dtype=bool)
+        for o in np.unique(of_lost):
+            over = lost.only(of_lost == o)
+            over = np.unique(over.node[over.weight != 0.0])
+            gone |= (of_hits == o) & np.isin(hits.node, over).any(axis=1)
+        return hits.only(~gone), lost
+
+    def _partners(self, pairs: Pairs | None, contacts: Contacts) -> np.ndarray:
+        """(c,) the obstacle that each of the contacts is with, NOBODY where that is cloth."""
+        obstacle = self._faces.obstacle(contacts)
+        if pairs is not None:
+            of_pairs = contacts.key >= self._faces.last_key
+            obstacle[of_pairs] = pairs.obstacle(contacts.only(of_pairs))
+        return obstacle
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -505,12 +548,13 @@ class Pipeline:
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
         for _ in range(MOST_ROUNDS):
             with report.phase("detect"):
-                hits = self._hits(way, pairs, x)
+                hits, lost = self._met(way, pairs, x)
                 beyond = self._detect(response, way, x)
                 beyond = beyond.only(
                     ~np.isin(beyond.key, contacts.key) & (lacks(response, beyond, x, h) > s.tolerance)
                 )
             if not len(hits.key) and not len(beyond.key):
+                report.run_over(lost)
                 return contacts, given
             report.hits += len(hits.key)
             known = len(contacts.key)
@@ -524,36 +568,72 @@ class Pipeline:
                 way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
         if not last:
             return None
-        self._hold_back(pairs, way, x)
+        held, over, lost = self._hold_back(pairs, way, x)
+        if len(over.key) and not way.deepest:
+            return None
+        report.run_over(over.and_also(lost))
+        report.overruns += bool(len(over.key))
+        report.held_back += int(np.count_nonzero(held))
+        report.failsafes += bool(held.any())
         return contacts, given
 
-    def _hold_back(self, pairs: Pairs | None, way: _Way, x: np.ndarray) -> None:
+    def _hold_back(
+        self, pairs: Pairs | None, way: _Way, x: np.ndarray
+    ) -> tuple[np.ndarray, Contacts, Contacts]:
         """Let vertices that would still meet something go only as far as nothing can be met; speeds stay.
 
-        Those that would meet an obstacle that moves go along with it: where they were, it comes. Where that
-        leads others into what they would not have met, over and over, it is done to all of them, and none is
-        taken along.
+        Those that would meet an obstacle that moves go along with it: where they were, it comes; and so do
+        those that would meet them. Where that leads others into what they would not have met, over and over,
+        all go along, then none.
+
+        Returns:
+            (n,) bool, which vertices were held back; what meets nevertheless; and what nothing could help.
+        """
+        free, end = self._model.free, x.copy()
+        rest, carrier = way.x.copy(), np.full(len(x), NOBODY)
+        found = self._held(pairs, way, x, rest, carrier, MOST_TURNS)
+        carriers = np.unique(carrier[carrier >= 0])
+        if len(found[1].key) and len(carriers) == 1:
+            x[:], rest[free] = end, self._faces.along(carriers[0], free)
+            found = self._held(pairs, way, x, rest, None, STUCK)
+        if len(found[1].key):
+            x[:], rest[:] = end, way.x
+            found = self._held(pairs, way, x, rest, None, STUCK)
+        return found
+
+    def _held(
+        self,
+        pairs: Pairs | None,
+        way: _Way,
+        x: np.ndarray,
+        rest: np.ndarray,
+        carrier: np.ndarray | None,
+        turns: int,
+    ) -> tuple[np.ndarray, Contacts, Contacts]:
+        """Let what meets on the way to `x` (n, 3) [m] end near `rest` (n, 3) [m], and return as `_hold_back`.
+
+        `carrier` (n,) says by which obstacle each vertex rests, and more come to rest by one as they meet it;
+        without it, rests stay, and all that can move is held back together.
         """
         free, held = self._model.free, np.zeros(len(x), dtype=bool)
-        rest, carrier = way.x.copy(), np.full(len(x), NOBODY)
-        for turn in itertools.count():
+        over = lost = NO_CONTACTS
+        for turn in range(turns + 1):
             with way.report.phase("detect"):
-                hits = self._hits(way, pairs, x)
-            often = turn >= MOST_TURNS
-            if often:
-                rest[:] = way.x
-            else:
-                self._faces.carry(hits, rest, carrier)
-            shortened = self._faces.shorten(x, hits, rest)
-            if pairs is not None and len(hits.key):
+                over, lost = self._met(way, pairs, x)
+            if turn == turns or not len(over.key):
+                break
+            obstacle, carried = self._partners(pairs, over), False
+            if carrier is not None:
+                carried = self._faces.carry(over, obstacle, rest, carrier, held)
+            shortened = self._faces.shorten(x, over.only(over.key < self._faces.last_key), rest)
+            if pairs is not None:
                 # All vertices of a pair: it might turn about those that weigh nothing where it meets.
-                node = hits.only(~self._faces.own(hits)).node
-                which = np.flatnonzero(free) if often else np.unique(node[free[node]])
-                shortened = np.union1d(shortened, pairs.shorten(x, which))
-            if not len(shortened):
+                node = over.only(over.key >= self._faces.last_key).node
+                which = np.flatnonzero(free) if carrier is None else np.unique(node[free[node]])
+                shortened = np.union1d(shortened, pairs.shorten(x, which, rest))
+            if not (len(shortened) or carried):
                 break
             stay = shortened[held[shortened]]  # what is left of these ways is rounding
             x[stay] = rest[stay]
             held[shortened] = True
-        way.report.held_back += int(np.count_nonzero(held))
-        way.report.failsafes += bool(held.any())
+        return held, over, lost

@@ -316,7 +316,7 @@ def test_soups_end_in_no_tangle(soup, **how):
 @pytest.mark.parametrize("without", ["continuous detection", "lists that hold"])
 def test_the_judge_sees_a_tangle_without(without, monkeypatch):
     if without == "continuous detection":
-        monkeypatch.setattr(pairs.Pairs, "hits", lambda self, end: NO_CONTACTS)
+        monkeypatch.setattr(pairs.Pairs, "hits", lambda self, *_: NO_CONTACTS)
     else:
         listed = pairs.Pairs._listed
 

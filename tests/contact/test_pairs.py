@@ -185,7 +185,7 @@ def test_what_stays_within_half_of_the_nearest_distance_meets_nothing():
     end = case.x + 0.05 * np.random.default_rng(0).standard_normal(case.x.shape)
     hits = case.pairs.hits(end)
     every = np.arange(len(case.x))
-    short = case.pairs.shorten(end, every)
+    short = case.pairs.shorten(end, every, case.x)
     assert set(np.unique(hits.node)) <= set(short)
     met = judge.Judge(case.world).meetings(case.x, end)
     assert not met
@@ -195,9 +195,9 @@ def test_a_second_look_shortens_no_way_again():
     case = Case(*rough(5, 0.0, 0.012))
     end = case.x + 0.05 * np.random.default_rng(1).standard_normal(case.x.shape)
     every = np.arange(len(case.x))
-    case.pairs.shorten(end, every)
+    case.pairs.shorten(end, every, case.x)
     once = end.copy()
-    assert len(case.pairs.shorten(end, every)) == 0
+    assert len(case.pairs.shorten(end, every, case.x)) == 0
     np.testing.assert_array_equal(end, once)
 
 
