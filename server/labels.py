@@ -1,4 +1,4 @@
-"""What is said of each cloth: name, cost, local error, vertices in obstacles; or what is wrong."""
+"""What is said of each cloth: name, cost, local error, what is inside or crosses; or what is wrong."""
 
 from __future__ import annotations
 
@@ -106,8 +106,9 @@ def error_text(reading: Reading) -> str:
 
 
 def measured(meter: Meter) -> str:
-    """Milliseconds per step and local error, and below it vertices in obstacles, as far as they are known."""
+    """Milliseconds per step and local error, and below it what is inside and what crosses, where known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
-    inside = UNKNOWN if meter.inside is None else str(meter.inside)
-    mark, many = "▲ " if meter.inside else "", "vertex" if meter.inside == 1 else "vertices"
-    return f"{ms} ms · {error_text(meter.reading)}\n{mark}{inside} {many} in obstacles"
+    inside, crossings = (UNKNOWN if n is None else str(n) for n in (meter.inside, meter.crossings))
+    mark = "▲ " if meter.inside or meter.crossings else ""
+    many = "crossing" if meter.crossings == 1 else "crossings"
+    return f"{ms} ms · {error_text(meter.reading)}\n{mark}{inside} in obstacles · {crossings} {many}"

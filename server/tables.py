@@ -20,6 +20,15 @@ NOTHING = 1e-12
 RULED = ("at the start", "= now", "|P| [kg m/s]")
 """Rows with a line above them."""
 
+COLUMNS = {
+    "ms": "Milliseconds per step.",
+    "× real": "Simulated time per time that steps take: below 1 it cannot keep up by itself.",
+    "error": "Local error of a frame, as part of the cloth's size.",
+    "inside": "Vertices inside an obstacle that has an inside.",
+    "cross": "Edges of cloth and of mesh obstacles that go through triangles.",
+}
+"""Of the table of variants, and what they mean."""
+
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
 
@@ -48,19 +57,26 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
             number(meter.ms["total"] if meter.ms else None),
             style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
             f"{error_text(meter.reading)} {meter.reading.trend}".rstrip(),
-            style.UNKNOWN
-            if meter.inside is None
-            else f'<span class="{"bad" if meter.inside else ""}">{meter.inside}</span>',
+            trouble_text(meter.inside),
+            trouble_text(meter.crossings),
         ]
         title = f"<td>{style.chip(VARIANTS[i])}{escape(name)}</td>"
         rows.append(f"<tr>{title}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
         if trouble := meter.latest.refused or meter.latest.note:
-            rows.append(f'<tr><td colspan="5" class="bad">{escape(trouble)}</td></tr>')
+            rows.append(f'<tr><td colspan="6" class="bad">{escape(trouble)}</td></tr>')
         if wrong := what_is_wrong(meter.latest.settings):
             phrase = escape(f"{ON_PURPOSE}: {wrong}")
-            rows.append(f'<tr><td colspan="5" class="small">{phrase}</td></tr>')
-    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "in obstacles"))
+            rows.append(f'<tr><td colspan="6" class="small">{phrase}</td></tr>')
+    columns = {escape(setting): "", **COLUMNS}
+    head = "".join(f'<th title="{hint}">{column}</th>' for column, hint in columns.items())
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def trouble_text(count: int | None) -> str:
+    """How many are where they should not be: bold where some are."""
+    if count is None:
+        return style.UNKNOWN
+    return f'<span class="bad">{count}</span>' if count else "0"
 
 
 def threads_line(meters: Sequence[Meter]) -> str:

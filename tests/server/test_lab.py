@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
 
+from server import lane
 from server.lab import Lab
 from server.stage import between_docks
 from sim import SceneError
@@ -143,7 +144,19 @@ def labels(client):
 
 
 def test_labels_say_what_was_measured(lab, client):
-    wait_until(lambda: "penalty\n1.0 ms · – %\n0 vertices in obstacles" in labels(client))
+    wait_until(lambda: "penalty\n1.0 ms · – %\n0 in obstacles · 0 crossings" in labels(client))
+
+
+def test_what_crosses_is_up_to_date_in_a_pause_and_after_each_single_step(lab, client, monkeypatch):
+    monkeypatch.setattr(lane, "SHARE", 1e-9)  # so that nothing is counted while time runs
+    world = FakeWorld.made[0]
+    wait_until(lambda: lab.frames[0].steps and lab.frames[0].crossings is None)
+    world.crossed = 7
+    lab.post(lab.pause)
+    wait_until(lambda: any("▲ 0 in obstacles · 7 crossings" in text for text in labels(client)))
+    world.crossed = 1
+    lab.post(lab.step)
+    wait_until(lambda: any("▲ 0 in obstacles · 1 crossing" in text.split("\n") for text in labels(client)))
 
 
 def test_scene_words_are_no_html(lab, client):

@@ -34,7 +34,7 @@ def report(effects):
 
 def test_mistake_is_labelled_as_wrong_on_purpose_and_is_no_alarm(mistaken):
     assert label("stub", meter(settings=mistaken)) == (
-        "stub\n– ms · – %\n– vertices in obstacles\nwrong on purpose",
+        "stub\n– ms · – %\n– in obstacles · – crossings\nwrong on purpose",
         False,
     )
     table = variant_table("bending spring", ["stub"], [meter(settings=mistaken)])
@@ -91,7 +91,7 @@ def test_a_step_that_may_have_let_something_through_says_so():
 def test_a_remark_stands_under_what_was_measured():
     assert label("one", meter(), remark="fails on purpose")[0].split("\n")[1:] == [
         "– ms · – %",
-        "– vertices in obstacles",
+        "– in obstacles · – crossings",
         "fails on purpose",
     ]
 
