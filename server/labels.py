@@ -108,7 +108,13 @@ def error_text(reading: Reading) -> str:
 def measured(meter: Meter) -> str:
     """Milliseconds per step and local error, and below it what is inside and what crosses, where known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
-    inside, crossings = (UNKNOWN if n is None else str(n) for n in (meter.inside, meter.crossings))
-    mark = "▲ " if meter.inside or meter.crossings else ""
-    many = "crossing" if meter.crossings == 1 else "crossings"
-    return f"{ms} ms · {error_text(meter.reading)}\n{mark}{inside} in obstacles · {crossings} {many}"
+    return "\n".join([f"{ms} ms · {error_text(meter.reading)}", *crossed(meter)])
+
+
+def crossed(meter: Meter) -> list[str]:
+    """Vertices in obstacles and edges through triangles, a line for each where there are some."""
+    if meter.inside is None or meter.crossings is None:
+        return [f"{UNKNOWN} crossings"]
+    vertices = f"▲ {meter.inside} in obstacles" if meter.inside else ""
+    edges = f"▲ {meter.crossings} crossing{'s' * (meter.crossings != 1)}" if meter.crossings else ""
+    return list(filter(None, [vertices, edges])) or ["nothing crosses"]

@@ -13,6 +13,7 @@ from server.digits import written
 from server.labels import ON_PURPOSE, effects, error_text, is_unstable, what_is_wrong
 from server.meter import Meter
 from server.palette import VARIANTS
+from sim.effects import EFFECTS
 
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
@@ -28,6 +29,32 @@ COLUMNS = {
     "cross": "Edges of cloth and of mesh obstacles that go through triangles.",
 }
 """Of the table of variants, and what they mean."""
+
+IDLE = ("off", "skipped")
+"""How what a step says of an effect begins that did nothing."""
+
+ENTRIES = {
+    "kinetic": "Of motion.",
+    "gravity": "Of height, from the origin.",
+    "at the start": "All energy when the books were opened.",
+    "+ settings": "Put in by changes of settings.",
+    "+ wind": "Work of the air.",
+    "+ obstacles": "Put in by obstacles that move.",
+    "− damping": "Taken by the damping of the springs, which γ sets.",
+    "− friction": "Taken by friction.",
+    "− contact": "Taken by impacts.",
+    "− strain limiting": "Taken where edges were kept from being too long.",
+    "− linearisation": "Taken, or put in, as steps take forces for linear; more Newton iterations lessen it.",
+    "− integrator": "Taken, or put in, by the time step itself; shorter steps lessen it.",
+    "+ switched springs": "Put in as springs began or ceased to act.",
+    "+ wrong springs": "Put in by springs that are wrong on purpose.",
+    "− sleep": "Of motion, when cloth fell asleep.",
+    "= now": "All energy now.",
+    "residual": "What does not add up, of all energy that changed its kind.",
+    "|P| [kg m/s]": "Size of the linear momentum.",
+    "|L| [kg m²/s]": "Size of the angular momentum about the origin.",
+}
+"""What rows of the table of sums mean; the others are energies of springs."""
 
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
@@ -116,8 +143,9 @@ def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
 
 
 def look(title: str) -> str:
-    """How a row looks: what begins something new has a line above it."""
-    return ' class="rule"' if title in RULED else ""
+    """How a row looks, where what begins something new has a line above it, and what it says if asked."""
+    rule = ' class="rule"' if title in RULED else ""
+    return f'{rule} title="{ENTRIES.get(title, "Stored in springs of this kind.")}"'
 
 
 def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
@@ -189,7 +217,7 @@ def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
         parts.append(
             f"<h1>{style.chip(VARIANTS[i])}{escape(name)}</h1><table>{rows or style.UNKNOWN}</table>"
         )
-    return f'<div class="muslin">{"".join(parts)}</div>'
+    return f'<div class="muslin effects">{"".join(parts)}</div>'
 
 
 def effect_costs(meter: Meter) -> tuple[Mapping[str, float], float]:
@@ -201,11 +229,12 @@ def effect_costs(meter: Meter) -> tuple[Mapping[str, float], float]:
 
 def effect_row(name: str, word: str, cost: float | None = None, total: float = 0.0) -> str:
     """What a step says about one effect, and its part of the step's milliseconds; an unstable one is bad."""
-    look, bar = "bad" if is_unstable(word) else "", ""
+    look, bar = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else "", ""
     if cost is not None and total > 0.0:
         part = min(100.0 * cost / total, 100.0)
         looks = f"border-left:{part:.1f}px solid currentColor;height:.5em;display:inline-block"
         hint = f"{part:.0f} % of the step, without what it adds to the work of the solver"
         bar = f'<div style="{looks}" title="{hint}"></div> {cost:.2f} ms'
-    name = escape(str(name).replace("_", " "))
-    return f'<tr class="{look}"><td>{name}</td><td>{bar}</td><td>{escape(str(word))}</td></tr>'
+    does = EFFECTS[name].changes if name in EFFECTS else ""
+    title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
+    return f'<tr class="{look}" title="{escape(does)}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'
