@@ -257,7 +257,7 @@ def test_progress_of_compiling_is_shown_over_the_still(monkeypatch):
     lab.start()
     client = RawClient(lab.url)
     client.look()
-    wait_until(lambda: any(text.endswith("compiling 5 of 9") for text in labels(client)))
+    wait_until(lambda: any(text.endswith("compiling …") for text in labels(client)))
     assert any(m["type"] == "MeshMessage" and m["name"] == "/take1/variant1/cloth" for m in client.messages)
     assert lab.frames == []
     go_on.set()
