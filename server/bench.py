@@ -79,6 +79,9 @@ class Bench:
 
     def pause(self) -> None:
         """Stop time."""
+        if self.playing:
+            for lane in self.lanes:
+                lane.send(Advance(0.0, counted=True))
         self.playing, self._steps_asked = False, 0
 
     def step(self) -> None:
@@ -126,7 +129,7 @@ class Bench:
         else:
             seconds = self.clock.next_frame(longest)
         for lane in self.lanes:
-            lane.send(Advance(seconds))
+            lane.send(Advance(seconds, counted=not self.playing))
 
     def _wants_frame(self) -> bool:
         """Whether there is a frame to be started now or soon."""

@@ -36,6 +36,12 @@ def tooltip(field: Field) -> str:
     return "  ·  ".join(filter(None, parts))
 
 
+def quotient(text: Any) -> float:
+    """A number as it is typed into a box: 0.02, 1e-3 or 1/60; ValueError or ZeroDivisionError for others."""
+    above, slash, below = str(text).partition("/")
+    return float(above) / float(below) if slash else float(above)
+
+
 class Control:
     """A setting's control. Subclasses make the inputs and keep them to one value.
 
@@ -176,7 +182,7 @@ class LogSlider(Control):
         )
         box = self._gui.add_text(self._label, number_text(value), hint=self._hint)
         self._watch(slider, self._check_exponent, lambda e: self.field.clamp(float(f"{10**e:.3g}")))
-        self._watch(box, self._check_text, float)
+        self._watch(box, self._check_text, quotient)
 
     def _exponent(self, value: float) -> float:
         return min(max(math.log10(value), self._low), self._high) if value > 0 else self._low
@@ -189,8 +195,8 @@ class LogSlider(Control):
     def _check_text(self, text: Any) -> str:
         """Refuses rather than clamps: on the way to 0.02 a hand types 0, which nobody means."""
         try:
-            convert(self.field.name, float(text))
-        except (ValueError, TypeError):
+            convert(self.field.name, quotient(text))
+        except (ValueError, TypeError, ZeroDivisionError):
             raise ValueError(self.field.refusal(str(text)[:40])) from None
         return str(text)
 

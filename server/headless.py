@@ -142,6 +142,7 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
         "iterations": _spread(report.iterations for report in reports),
         "contacts": _spread(report.contacts for report in reports),
         "penetrations": _spread(report.penetrations for report in reports),
+        "crossings": world.crossings(),
         "energy": world.energy(),
         "energy_injected": sum(report.energy_injected for report in reports),
         "energy_jumps": sum(report.energy_jumps for report in reports),
@@ -168,6 +169,7 @@ def _table(summary: dict[str, Any]) -> Table:
     for name in ("iterations", "contacts", "penetrations"):
         spread = summary[name]
         table.add_row(f"{name}: mean, most", f"{spread['mean']:.1f}, {spread['most']:,}")
+    table.add_row("crossings at the end", f"{summary['crossings']:,}")
     for name, value in summary["energy"].items():
         table.add_row(f"{name} energy at the end [J]", f"{value:.4g}")
     for name, unit in (("linear", "kg m/s"), ("angular", "kg m²/s")):

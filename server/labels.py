@@ -1,4 +1,4 @@
-"""What is said of each cloth: name, cost, local error, vertices in obstacles; or what is wrong."""
+"""What is said of each cloth: name, cost, local error, what is inside or crosses; or what is wrong."""
 
 from __future__ import annotations
 
@@ -106,8 +106,15 @@ def error_text(reading: Reading) -> str:
 
 
 def measured(meter: Meter) -> str:
-    """Milliseconds per step and local error, and below it vertices in obstacles, as far as they are known."""
+    """Milliseconds per step and local error, and below it what is inside and what crosses, where known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
-    inside = UNKNOWN if meter.inside is None else str(meter.inside)
-    mark, many = "▲ " if meter.inside else "", "vertex" if meter.inside == 1 else "vertices"
-    return f"{ms} ms · {error_text(meter.reading)}\n{mark}{inside} {many} in obstacles"
+    return "\n".join([f"{ms} ms · {error_text(meter.reading)}", *crossed(meter)])
+
+
+def crossed(meter: Meter) -> list[str]:
+    """Vertices in obstacles and edges through triangles, a line for each where there are some."""
+    if meter.inside is None or meter.crossings is None:
+        return [f"{UNKNOWN} crossings"]
+    vertices = f"▲ {meter.inside} in obstacles" if meter.inside else ""
+    edges = f"▲ {meter.crossings} crossing{'s' * (meter.crossings != 1)}" if meter.crossings else ""
+    return list(filter(None, [vertices, edges])) or ["nothing crosses"]

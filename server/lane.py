@@ -23,12 +23,21 @@ ROUNDING = 1e-9
 PATIENCE = 0.7
 """Wall time [s] after which it is said that something takes long."""
 
+SHARE = 0.01
+"""Of wall time, that counting what crosses may take while time runs."""
+
 
 @dataclass(frozen=True)
 class Advance:
-    """Command: step until this much more simulated time [s] has passed."""
+    """Command: step until this much more simulated time [s] has passed.
+
+    Attributes:
+        seconds: How much.
+        counted: Count what crosses in the frame after it, whatever that takes: it may be the last for long.
+    """
 
     seconds: float
+    counted: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,7 @@ class Frame:
         steps: How many steps were made since the frame before.
         ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
         report: The last step's report, None before the first.
+        crossings: How many edges go through triangles now; None where that was not counted.
         energy: Energies [J] by kind.
         ledger: Where energy went, None where no books are kept.
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
@@ -78,6 +88,7 @@ class Frame:
     steps: int = 0
     ms: Mapping[str, float] | None = None
     report: Any = None
+    crossings: int | None = None
     energy: Mapping[str, float] = field(default_factory=dict)
     ledger: Any = None
     momentum: tuple[np.ndarray, np.ndarray] | None = None
@@ -114,6 +125,7 @@ class Lane(threading.Thread):
         self._owed = 0.0
         self._refused = self._blamed = self._note = ""
         self._spent: list[Mapping[str, float]] = []
+        self._count_next, self._count_due = False, 0.0
 
     def send(self, command: Advance | Change | Reset | Ask) -> None:
         """Queue a command; it takes effect between two steps. One that only asks leads to no new frame."""
@@ -175,6 +187,7 @@ class Lane(threading.Thread):
             changes = {}
             if isinstance(command, Advance) and not self._refused:
                 self._owed += command.seconds
+                self._count_next |= command.counted
             elif isinstance(command, Reset):
                 self._start(command.settings)
             elif isinstance(command, Ask):
@@ -184,7 +197,7 @@ class Lane(threading.Thread):
         return sum(not isinstance(command, Ask | None) for command in commands)
 
     def _start(self, settings: Settings) -> None:
-        self._settings, self._owed, self._spent = settings, 0.0, []
+        self._settings, self._owed, self._spent, self._count_next = settings, 0.0, [], True
         self._refused = self._blamed = self._note = ""
         self._doing = ("starting", perf_counter())
         self._world = self._report = None
@@ -239,7 +252,7 @@ class Lane(threading.Thread):
         if world is None:
             self.frame = Frame(refused=self._refused, blamed=self._blamed)
             return
-        ledger = getattr(world, "ledger", None)
+        ledger, crossings = getattr(world, "ledger", None), self._crossings()
         self.frame = Frame(
             positions=world.positions.astype(np.float32),
             poses=world.obstacle_poses(),
@@ -247,6 +260,7 @@ class Lane(threading.Thread):
             steps=len(self._spent),
             ms=mean_ms(self._spent),
             report=self._report,
+            crossings=crossings,
             energy=dict(ledger.energy if ledger else world.energy()),
             ledger=ledger,
             momentum=world.momentum(),
@@ -256,6 +270,17 @@ class Lane(threading.Thread):
             note=self._note,
         )
         self._spent = []
+
+    def _crossings(self) -> int | None:
+        """How many edges go through triangles, where that is asked for or takes no more than its share."""
+        begin = perf_counter()
+        if not self._count_next and begin < self._count_due:
+            return None
+        count, end = self._world.crossings(), perf_counter()
+        if not self._count_next:  # at the start, kernels may have had to be loaded first
+            self._count_due = end + (end - begin) / SHARE
+        self._count_next = False
+        return count
 
 
 def mean_ms(reports: list[Mapping[str, float]]) -> dict[str, float] | None:

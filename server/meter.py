@@ -18,12 +18,14 @@ class Meter:
         dt: The time step [s] that these were made with.
         reading: What is known of its local error.
         inside: Most vertices inside an obstacle after any of those frames; None until a step was measured.
+        crossings: Most edges through triangles in those frames in which they were counted; None before.
     """
 
     def __init__(self):
         self.latest = Frame()
         self.ms: dict[str, float] | None = None
         self.inside: int | None = None
+        self.crossings: int | None = None
         self.dt: float | None = None
         self.reading: Reading = NO_READING
         self._frames: list[Frame] = []
@@ -44,8 +46,11 @@ class Meter:
             self.ms = mean_ms([frame.ms for frame in stepped if frame.ms])
             self.dt = stepped[-1].settings.dt if stepped[-1].settings else None
             self.inside = max(frame.report.penetrations for frame in stepped)
+        counted = [frame.crossings for frame in self._frames if frame.crossings is not None]
+        if counted:
+            self.crossings = max(counted)
         if self.latest.refused:
-            self.ms = self.inside = None
+            self.ms = self.inside = self.crossings = None
         self._frames = []
         return self
 

@@ -126,7 +126,9 @@ class Page:
     def _show_numbers(self, bench: Bench, comparison: Comparison, now: float) -> None:
         meters = [meter.read() for meter in bench.meters]
         for i, meter in enumerate(meters):
-            waiting = self._waiting.partition(",")[0] or bench.waiting(i)  # the dock has room for all of it
+            # The dock says how far it is: a label that changes has a browser draw the whole scene anew, which
+            # takes from the compiler where no GPU does it.
+            waiting = f"{self._waiting.split()[0]} …" if self._waiting else bench.waiting(i)
             remark = comparison.remark(i)
             self.stage.label(i, *label(comparison.name(i), meter, waiting, bench.behind(i), remark))
         self.charts.show_momentum(self._keeps_momentum(comparison))

@@ -225,7 +225,7 @@ def _cost_row(v: Variant, phases: Sequence[str]) -> Row:
 
 def _state(report: CompareReport) -> Table:
     columns = (report.by, "energy [J]", "change [J]", "largest rise [J]", "vertices inside", "deepest [mm]")
-    columns += ("crossings at the end", "longest edge [%]")
+    columns += ("most crossings", "longest edge [%]")
     rows = tuple(
         (
             v.name,

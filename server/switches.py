@@ -71,8 +71,9 @@ class Switches:
         """Have switches for obstacles that are called so: made when needed, then hidden, never removed."""
         effects = effects_with(obstacles)
         with self._single:
-            for name in effects.keys() - self._handles.keys():
-                self._add(name, effects[name])
+            for name, effect in effects.items():
+                if name not in self._handles:
+                    self._add(name, effect)
         self._single.visible = bool(obstacles)
         for name, handle in self._handles.items():
             if handle.visible != (name in effects):

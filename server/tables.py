@@ -13,12 +13,48 @@ from server.digits import written
 from server.labels import ON_PURPOSE, effects, error_text, is_unstable, what_is_wrong
 from server.meter import Meter
 from server.palette import VARIANTS
+from sim.effects import EFFECTS
 
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
 
 RULED = ("at the start", "= now", "|P| [kg m/s]")
 """Rows with a line above them."""
+
+COLUMNS = {
+    "ms": "Milliseconds per step.",
+    "× real": "Simulated time per time that steps take: below 1 it cannot keep up by itself.",
+    "error": "Local error of a frame, as part of the cloth's size.",
+    "inside": "Vertices inside an obstacle that has an inside.",
+    "cross": "Edges of cloth and of mesh obstacles that go through triangles.",
+}
+"""Of the table of variants, and what they mean."""
+
+IDLE = ("off", "skipped")
+"""How what a step says of an effect begins that did nothing."""
+
+ENTRIES = {
+    "kinetic": "Of motion.",
+    "gravity": "Of height, from the origin.",
+    "at the start": "All energy when the books were opened.",
+    "+ settings": "Put in by changes of settings.",
+    "+ wind": "Work of the air.",
+    "+ obstacles": "Put in by obstacles that move.",
+    "− damping": "Taken by the damping of the springs, which γ sets.",
+    "− friction": "Taken by friction.",
+    "− contact": "Taken by impacts.",
+    "− strain limiting": "Taken where edges were kept from being too long.",
+    "− linearisation": "Taken, or put in, as steps take forces for linear; more Newton iterations lessen it.",
+    "− integrator": "Taken, or put in, by the time step itself; shorter steps lessen it.",
+    "+ switched springs": "Put in as springs began or ceased to act.",
+    "+ wrong springs": "Put in by springs that are wrong on purpose.",
+    "− sleep": "Of motion, when cloth fell asleep.",
+    "= now": "All energy now.",
+    "residual": "What does not add up, of all energy that changed its kind.",
+    "|P| [kg m/s]": "Size of the linear momentum.",
+    "|L| [kg m²/s]": "Size of the angular momentum about the origin.",
+}
+"""What rows of the table of sums mean; the others are energies of springs."""
 
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
@@ -48,19 +84,26 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
             number(meter.ms["total"] if meter.ms else None),
             style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
             f"{error_text(meter.reading)} {meter.reading.trend}".rstrip(),
-            style.UNKNOWN
-            if meter.inside is None
-            else f'<span class="{"bad" if meter.inside else ""}">{meter.inside}</span>',
+            trouble_text(meter.inside),
+            trouble_text(meter.crossings),
         ]
         title = f"<td>{style.chip(VARIANTS[i])}{escape(name)}</td>"
         rows.append(f"<tr>{title}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
         if trouble := meter.latest.refused or meter.latest.note:
-            rows.append(f'<tr><td colspan="5" class="bad">{escape(trouble)}</td></tr>')
+            rows.append(f'<tr><td colspan="6" class="bad">{escape(trouble)}</td></tr>')
         if wrong := what_is_wrong(meter.latest.settings):
             phrase = escape(f"{ON_PURPOSE}: {wrong}")
-            rows.append(f'<tr><td colspan="5" class="small">{phrase}</td></tr>')
-    head = "".join(f"<th>{h}</th>" for h in (escape(setting), "ms", "× real", "error", "in obstacles"))
+            rows.append(f'<tr><td colspan="6" class="small">{phrase}</td></tr>')
+    columns = {escape(setting): "", **COLUMNS}
+    head = "".join(f'<th title="{hint}">{column}</th>' for column, hint in columns.items())
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def trouble_text(count: int | None) -> str:
+    """How many are where they should not be: bold where some are."""
+    if count is None:
+        return style.UNKNOWN
+    return f'<span class="bad">{count}</span>' if count else "0"
 
 
 def threads_line(meters: Sequence[Meter]) -> str:
@@ -100,8 +143,9 @@ def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
 
 
 def look(title: str) -> str:
-    """How a row looks: what begins something new has a line above it."""
-    return ' class="rule"' if title in RULED else ""
+    """How a row looks, where what begins something new has a line above it, and what it says if asked."""
+    rule = ' class="rule"' if title in RULED else ""
+    return f'{rule} title="{ENTRIES.get(title, "Stored in springs of this kind.")}"'
 
 
 def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
@@ -173,7 +217,7 @@ def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
         parts.append(
             f"<h1>{style.chip(VARIANTS[i])}{escape(name)}</h1><table>{rows or style.UNKNOWN}</table>"
         )
-    return f'<div class="muslin">{"".join(parts)}</div>'
+    return f'<div class="muslin effects">{"".join(parts)}</div>'
 
 
 def effect_costs(meter: Meter) -> tuple[Mapping[str, float], float]:
@@ -185,11 +229,12 @@ def effect_costs(meter: Meter) -> tuple[Mapping[str, float], float]:
 
 def effect_row(name: str, word: str, cost: float | None = None, total: float = 0.0) -> str:
     """What a step says about one effect, and its part of the step's milliseconds; an unstable one is bad."""
-    look, bar = "bad" if is_unstable(word) else "", ""
+    look, bar = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else "", ""
     if cost is not None and total > 0.0:
         part = min(100.0 * cost / total, 100.0)
         looks = f"border-left:{part:.1f}px solid currentColor;height:.5em;display:inline-block"
         hint = f"{part:.0f} % of the step, without what it adds to the work of the solver"
         bar = f'<div style="{looks}" title="{hint}"></div> {cost:.2f} ms'
-    name = escape(str(name).replace("_", " "))
-    return f'<tr class="{look}"><td>{name}</td><td>{bar}</td><td>{escape(str(word))}</td></tr>'
+    does = EFFECTS[name].changes if name in EFFECTS else ""
+    title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
+    return f'<tr class="{look}" title="{escape(does)}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'

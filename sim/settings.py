@@ -439,7 +439,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         choice(
             "Solver",
             "Take off the damping ratio of each spring what the integrator damps it by itself.",
-            label="compensate for the integrator's damping",
+            label="compensate damping",
             cost="free",
         ),
     ] = "off"

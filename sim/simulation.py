@@ -194,6 +194,13 @@ class Simulation:
         poses = self.contact.obstacles.poses(self._time)
         return list(zip(poses.position, poses.rotation, strict=True))
 
+    def crossings(self) -> int:
+        """How many edges of cloth and mesh obstacles go through triangles of cloth or of the other now.
+
+        What is not felt counts, too. Layers that have passed through each other completely leave none.
+        """
+        return self.contact.crossings(self._time, self._positions)
+
     def stability_limit(self) -> float:
         """The longest step [s] for which symplectic Euler is stable about the present state."""
         from sim.solve.stability import longest_step  # SciPy, which a step does without

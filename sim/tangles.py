@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.effects import feels_cloth
-from sim.mesh import Mesh, distinct_edges
+from sim.mesh import Mesh, bare_edges, distinct_edges
 from sim.scene import SceneError
 from sim.settings import Settings
 
@@ -98,13 +98,22 @@ def surfaces_of(mesh: Mesh, settings: Settings, obstacles: np.ndarray) -> Surfac
     felt = feels_cloth(settings, mesh.several) or len(obstacles)
     if settings.contact == "none" or not felt or not len(mesh.triangles):
         return None
+    feels = settings.self_collision != "off", settings.cloth_collision != "off"
+    return _surfaces(mesh, mesh.triangles, obstacles, *feels)
+
+
+def all_surfaces(mesh: Mesh, obstacles: np.ndarray) -> Surfaces:
+    """The same of all that can cross, felt or not; edges without triangles are triangles without area."""
+    cloth = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
+    return _surfaces(mesh, cloth, obstacles, True, True)
+
+
+def _surfaces(mesh: Mesh, cloth: np.ndarray, obstacles: np.ndarray, within: bool, between: bool) -> Surfaces:
     n = len(mesh.vertices)
     piece = np.concatenate([mesh.pieces, np.full(int(obstacles.max(initial=-1)) + 1, -1)])
     free = piece >= 0
     free[mesh.pinned] = False
-    within, between = settings.self_collision != "off", settings.cloth_collision != "off"
-    triangles = np.concatenate([mesh.triangles, obstacles + n])
-    return Surfaces(triangles, free, n, piece, within, between, mesh.axis)
+    return Surfaces(np.concatenate([cloth, obstacles + n]), free, n, piece, within, between, mesh.axis)
 
 
 def refuses(settings: Settings) -> bool:
@@ -132,7 +141,7 @@ def clear_start(
         return x, ""
     points = np.concatenate([x, solid])
     if not undo:
-        pairs = _pairs(_crossings(points, surfaces), surfaces)
+        pairs = _pairs(crossings(points, surfaces), surfaces)
         if len(pairs):
             raise SceneError(f"{source}: {refusal(pairs, surfaces.cloth_triangles)}", "tangled")
         return x, ""
@@ -170,7 +179,7 @@ def in_words(pairs: np.ndarray, cloth: int) -> str:
 
 def untangle(x: np.ndarray, surfaces: Surfaces) -> Untangled:
     """Move free vertices of `x` (n, 3) [m] until no triangles cross, or give up."""
-    found, start = _crossings(x, surfaces), x
+    found, start = crossings(x, surfaces), x
     first = _pairs(found, surfaces)
     if not len(found):
         return Untangled(start, first, first, 0.0)
@@ -186,7 +195,7 @@ def untangle(x: np.ndarray, surfaces: Surfaces) -> Untangled:
         if slope <= 0.0:  # as short as it can be
             break
         x -= min(BEYOND * length / slope, STRIDE * typical / fastest) * way
-        found = _crossings(x, surfaces)
+        found = crossings(x, surfaces)
         if not len(found):
             return Untangled(x, first, first[:0], float(np.linalg.norm(x - start, axis=1).max()))
     return Untangled(start, first, _pairs(found, surfaces), 0.0)
@@ -238,11 +247,13 @@ def contour(x: np.ndarray, triangles: np.ndarray, crossings: np.ndarray) -> tupl
     return float(size.sum()), gradient
 
 
-def _crossings(x: np.ndarray, surfaces: Surfaces) -> np.ndarray:
+def crossings(x: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     """(p, 2) [edge, triangle] that cross, obstacles among themselves and what is not asked for left out."""
-    from sim.contact.intersections import intersections  # whose kernels only a start needs
+    from sim.contact.intersections import intersections  # Numba, which `muslin check` does without
 
     found = intersections(x, surfaces.triangles)
+    if not len(found):
+        return found
     edges, corners = _edges(surfaces)[found[:, 0], 0], surfaces.triangles[found[:, 1], 0]
     return found[surfaces.counts(edges, corners)]
 

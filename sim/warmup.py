@@ -22,6 +22,7 @@ from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 from sim.compiled import KERNELS
+from sim.contact import intersections
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
 from sim.effects import feels_cloth, feels_obstacles
 from sim.report import StepReport
@@ -81,6 +82,8 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
             return getattr(s, OPTIONAL[module]) > 0.0
         if name.endswith("curvature"):
             return exact and module in {"sim.solve.system", *(kind.module for kind in kinds)}
+        if module == intersections.__name__:
+            return True
         if module.startswith("sim.springs."):
             return kernel in rules
         if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:
@@ -97,6 +100,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     ):
         world = Simulation(small)
         _touch(world)
+        world.crossings()
         world.keep_ledger()  # which has no kernels of its own, but calls some that a linearised step does not
         world.step()
         if exact:

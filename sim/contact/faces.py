@@ -173,7 +173,7 @@ class Faces:
         """Contacts of vertices that come nearer than `gap` [m] to a plane before they are at `end` (n, 3)."""
         x, before, after, h, _ = self._step
         found = [NO_CONTACTS]
-        for o in np.flatnonzero(shapes.kind == PLANE):
+        for o in np.flatnonzero(shapes.kind == PLANE).tolist():
             start = (x - before.position[o]) @ before.rotation[o]
             normal = after.rotation[o][:, 2]
             height = (end - after.position[o]) @ normal

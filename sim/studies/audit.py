@@ -21,7 +21,6 @@ import numpy as np
 import tomli_w
 
 from sim.bench.hardware import hardware, versions
-from sim.contact.intersections import intersections
 from sim.effects import State, chosen, effects_with, state, switch
 from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
@@ -211,7 +210,7 @@ class _Audit:
                 places.append(world.positions.copy())
         way.places = np.array(places)
         way.inside = int(np.count_nonzero(world.contact.depths(world.time, world.positions)))
-        way.crossed = len(intersections(world.positions, world.triangles))
+        way.crossed = world.crossings()
         return way
 
     def _apart(self, way: _Way, as_is: _Way) -> float:

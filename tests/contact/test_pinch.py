@@ -54,7 +54,7 @@ def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, ga
     assert not reports[-1].pinched
     # The jaws close at 1.1 m/s at most; cloth slips out of the wedge between the balls by a few times that.
     assert fastest < 5.0
-    # What is between both goes with none: it stands still for a part of a step, in which they come 2 mm nearer.
+    # What both press stands still in a part of a step: in an eighth, they go 2 of 18 mm.
     assert deepest <= max(-gap / 2, 0.0) + 2e-3
     assert reports[-1].penetrations == 0
     assert strain(world) < 0.1

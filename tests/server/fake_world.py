@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections import deque
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -24,6 +25,9 @@ SCENE = {
     "lesson": {"title": "A <b>fake</b>", "look_for": "nothing", "try": ["nothing"]},
 }
 
+REMEMBERED = 100
+"""Updates: a soak makes a hundred a second, and all of them would look like a leak of the page."""
+
 
 class FakeWorld:
     """Falls at 1 m/s; refuses to step while the density is above 100."""
@@ -35,8 +39,8 @@ class FakeWorld:
         self.mesh = build_mesh(scene)
         self.positions = self.mesh.vertices.copy()
         self.time = 0.0
-        self.steps = 0
-        self.updates: list[dict] = []
+        self.steps = self.crossed = 0
+        self.updates: deque[dict] = deque(maxlen=REMEMBERED)
         self.thread = threading.get_ident()
         self.gate = threading.Event()
         self.gate.set()
@@ -64,6 +68,9 @@ class FakeWorld:
             penetrations=0,
             effects={"gravity": "ran"},
         )
+
+    def crossings(self):
+        return self.crossed
 
     def energy(self):
         return {"kinetic": 1.0, "gravity": float(self.positions[:, 2].sum())}

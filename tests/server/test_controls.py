@@ -1,5 +1,7 @@
 """Controls come from the definition of the settings, and from nothing else."""
 
+import math
+
 import pytest
 from fake_world import wait_until
 
@@ -29,6 +31,18 @@ def test_log_slider_and_its_box_follow_each_other(lab, client):
     client.set(box, "100")
     wait_until(lambda: client.values.get(slider) == pytest.approx(2.0))
     wait_until(lambda: lab.comparison.shared.stretch == 100.0)
+
+
+def test_a_box_takes_quotients_as_lessons_have_them_and_refuses_what_is_no_number(lab, client):
+    box, slider = client.find("time step [s]", "Text"), client.find("time step [s]", "Slider")
+    client.set(box, "1/960")
+    wait_until(lambda: lab.comparison.shared.dt == 1 / 960)
+    wait_until(lambda: client.values.get(slider) == pytest.approx(-math.log10(960)))
+    for nonsense in ("1/0", "1/", "/60", "1/60/2", "1/nan", "a/b", True):
+        client.set(box, nonsense)
+        wait_until(lambda: client.values.get(box) == "1/960")
+        client.values.clear()
+    assert lab.comparison.shared.dt == 1 / 960
 
 
 def test_setting_that_cannot_act_is_greyed_with_the_reason(lab, client):

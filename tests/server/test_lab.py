@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
 
+from server import lane
 from server.lab import Lab
 from server.stage import between_docks
 from sim import SceneError
@@ -143,7 +144,19 @@ def labels(client):
 
 
 def test_labels_say_what_was_measured(lab, client):
-    wait_until(lambda: "penalty\n1.0 ms · – %\n0 vertices in obstacles" in labels(client))
+    wait_until(lambda: "penalty\n1.0 ms · – %\nnothing crosses" in labels(client))
+
+
+def test_what_crosses_is_up_to_date_in_a_pause_and_after_each_single_step(lab, client, monkeypatch):
+    monkeypatch.setattr(lane, "SHARE", 1e-9)  # so that nothing is counted while time runs
+    world = FakeWorld.made[0]
+    wait_until(lambda: lab.frames[0].steps and lab.frames[0].crossings is None)
+    world.crossed = 7
+    lab.post(lab.pause)
+    wait_until(lambda: any("▲ 7 crossings" in text for text in labels(client)))
+    world.crossed = 1
+    lab.post(lab.step)
+    wait_until(lambda: any("▲ 1 crossing" in text.split("\n") for text in labels(client)))
 
 
 def test_scene_words_are_no_html(lab, client):
@@ -164,7 +177,7 @@ def captions(client):
 
 
 def momentum_plot(client):
-    return [text for text in captions(client) if "momentum" in text]
+    return [text for text in captions(client) if "momentum, " in text]
 
 
 @pytest.fixture
@@ -244,7 +257,7 @@ def test_progress_of_compiling_is_shown_over_the_still(monkeypatch):
     lab.start()
     client = RawClient(lab.url)
     client.look()
-    wait_until(lambda: any(text.endswith("compiling 5 of 9") for text in labels(client)))
+    wait_until(lambda: any(text.endswith("compiling …") for text in labels(client)))
     assert any(m["type"] == "MeshMessage" and m["name"] == "/take1/variant1/cloth" for m in client.messages)
     assert lab.frames == []
     go_on.set()

@@ -1,5 +1,6 @@
 """What is said of each cloth, above it and in the tables beside it."""
 
+import re
 from types import SimpleNamespace
 
 import msgspec
@@ -11,6 +12,7 @@ from server.lane import Frame
 from server.meter import Meter
 from server.tables import effects_table, sums_table, variant_table
 from sim import Settings
+from sim.effects import EFFECTS
 from sim.springs import BENDING
 
 
@@ -34,7 +36,7 @@ def report(effects):
 
 def test_mistake_is_labelled_as_wrong_on_purpose_and_is_no_alarm(mistaken):
     assert label("stub", meter(settings=mistaken)) == (
-        "stub\n– ms · – %\n– vertices in obstacles\nwrong on purpose",
+        "stub\n– ms · – %\n– crossings\nwrong on purpose",
         False,
     )
     table = variant_table("bending spring", ["stub"], [meter(settings=mistaken)])
@@ -59,8 +61,37 @@ def test_unstable_step_is_a_line_of_the_label_and_bold_in_the_table():
     shaky = meter(report=report({"gravity": "ran", "integrator": "unstable: dt is 10 ms"}))
     assert label("one", shaky)[0].split("\n")[-1] == "▲ unstable step"
     table = effects_table(["one"], [shaky])
-    assert '<tr class="bad"><td>integrator</td><td></td><td>unstable: dt is 10 ms</td></tr>' in table
+    assert '<tr class="bad" title=""><td>integrator</td><td></td><td>unstable: dt is 10 ms</td></tr>' in table
     assert table.count('class="bad"') == 1
+
+
+def test_what_did_nothing_is_dim_and_each_effect_says_what_it_does():
+    said = {"gravity": "ran", "wind": "off: drag is zero", "cloth_collision": "skipped: there is one piece"}
+    table = effects_table(["one"], [meter(report=report(said))])
+    assert re.findall(r'<tr class="(.*?)" title="(.*?)"><td>(.*?)</td>', table) == [
+        ("", EFFECTS["gravity"].changes, "gravity"),
+        ("dim", EFFECTS["wind"].changes, "wind"),
+        ("dim", EFFECTS["cloth_collision"].changes, "cloth collision"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("inside", "crossings", "said"),
+    [
+        (0, 0, ["nothing crosses"]),
+        (3, 0, ["▲ 3 in obstacles"]),
+        (0, 1, ["▲ 1 crossing"]),
+        (25, 6, ["▲ 25 in obstacles", "▲ 6 crossings"]),
+        (3, None, ["– crossings"]),
+    ],
+)
+def test_what_is_inside_and_what_crosses_has_a_line_each_and_is_bold_in_the_table(inside, crossings, said):
+    step = SimpleNamespace(**vars(report({"gravity": "ran"})) | {"penetrations": inside})
+    measured = meter(report=step, steps=1, ms={"total": 1.0}, crossings=crossings).read()
+    assert label("one", measured)[0].split("\n")[2:] == said
+    assert re.findall(r'class="bad">(\d+)<', variant_table("", ["one"], [measured])) == [
+        str(n) for n in (inside, crossings) if n
+    ]
 
 
 def test_each_effect_has_its_part_of_the_step():
@@ -91,7 +122,7 @@ def test_a_step_that_may_have_let_something_through_says_so():
 def test_a_remark_stands_under_what_was_measured():
     assert label("one", meter(), remark="fails on purpose")[0].split("\n")[1:] == [
         "– ms · – %",
-        "– vertices in obstacles",
+        "– crossings",
         "fails on purpose",
     ]
 

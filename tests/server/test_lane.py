@@ -1,12 +1,14 @@
 """A lane: commands are carried out between steps, in its own thread."""
 
+import itertools
 import threading
+import time
 
 import msgspec
 import pytest
 from fake_world import SCENE, FakeWorld, StepError, wait_until
 
-from server.lane import Advance, Ask, Change, Lane, Reset
+from server.lane import SHARE, Advance, Ask, Change, Lane, Reset
 from sim import load_scene
 
 STILL = 1 / 60
@@ -69,7 +71,7 @@ def test_change_takes_effect_between_two_steps_of_one_advance(start):
     lane.send(Change({"gamma": 0.7}))
     world.gate.set()
     wait_until(lambda: not lane.busy)
-    assert world.updates == [{"gamma": 0.7}]
+    assert list(world.updates) == [{"gamma": 0.7}]
     assert world.steps == 10
 
 
@@ -83,7 +85,7 @@ def test_flood_of_changes_is_carried_out_as_one(start):
         lane.send(Change({"gamma": i / 1000}))
     world.gate.set()
     wait_until(lambda: not lane.busy)
-    assert world.updates == [{"gamma": 0.999}]
+    assert list(world.updates) == [{"gamma": 0.999}]
 
 
 def test_refused_step_stops_the_lane_until_a_change_revives_it(start):
@@ -93,6 +95,41 @@ def test_refused_step_stops_the_lane_until_a_change_revives_it(start):
     assert finish(lane, Advance(10.0)).time == 0.0, "time that passes meanwhile is not owed"
     frame = finish(lane, Change({"density": 0.2}), Advance(STILL))
     assert (frame.refused, frame.steps) == ("", 1)
+
+
+class Crossed(FakeWorld):
+    """Takes 2 ms to count what crosses."""
+
+    def __init__(self, *about):
+        super().__init__(*about)
+        self.counts = []
+
+    def crossings(self):
+        begin = time.perf_counter()
+        time.sleep(2e-3)
+        self.counts.append((begin, time.perf_counter()))
+        return self.steps
+
+
+def test_what_crosses_is_counted_at_the_start_and_then_within_a_share_of_the_time(start):
+    lane, frames = start(Crossed, dt=0.01), []
+    (world,) = FakeWorld.made
+    assert lane.frame.crossings == 0
+    while len(world.counts) < 4:
+        frames.append(finish(lane, Advance(0.1)))
+    counted = [frame for frame in frames if frame.crossings is not None]
+    assert len(counted) == 3 < len(frames)
+    assert all(frame.crossings == round(frame.time / 0.01) for frame in counted)
+    for (begin, end), (again, _) in itertools.pairwise(world.counts[1:]):
+        assert end - begin <= SHARE * (again - begin)
+    assert finish(lane, Reset(lane.frame.settings)).crossings == 0, "the start is seen whenever it comes"
+
+
+def test_what_crosses_is_counted_where_that_is_asked_for_whatever_it_takes(start):
+    lane = start(Crossed, dt=0.01)
+    frames = [finish(lane, Advance(0.01, counted=True)) for _ in range(5)]
+    assert [frame.crossings for frame in frames] == [1, 2, 3, 4, 5]
+    assert finish(lane, Advance(0.0, counted=True)).crossings == 5
 
 
 def test_reset_revives_and_starts_again(start):

@@ -106,7 +106,7 @@ def test_names_are_no_html():
 )
 def test_an_error_is_said_as_well_as_it_is_known(found, text):
     assert error_text(found) == text
-    assert label("one", meter(6.1, found))[0] == f"one\n6.1 ms · {text}\n0 vertices in obstacles"
+    assert label("one", meter(6.1, found))[0] == f"one\n6.1 ms · {text}\n– crossings"
 
 
 def test_the_table_has_the_trend_and_how_real_time_is_kept():

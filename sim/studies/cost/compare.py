@@ -16,7 +16,6 @@ import numpy as np
 from msgspec.structs import asdict
 
 from sim.bench.hardware import hardware, versions
-from sim.contact.intersections import intersections
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
 from sim.simulation import Simulation
@@ -123,10 +122,9 @@ class _Comparison:
         progress(0.0, "getting kernels ready (the first run compiles them)")
         for settings in variants:
             warm_up(scene_with(scene, settings))
-        world = Simulation(scene, **asdict(chosen))
-        self.length = size(world)
+        self.world = Simulation(scene, **asdict(chosen))
+        self.length = size(self.world)
         self.masses = [Simulation(scene, **asdict(s)).masses.copy() for s in variants]
-        self.triangles = world.triangles.copy()
 
     def report(self, by: str, repeats: int, computer: dict[str, Any]) -> CompareReport:
         """All stages."""
@@ -245,7 +243,7 @@ class _Comparison:
             energy_rise=rise,
             penetrations=int(trace.contact["penetrations"].max()),
             deepest=float(trace.contact["deepest"].max()),
-            crossings=len(intersections(trace.positions[-1], self.triangles)),
+            crossings=max(map(self.world.contact.crossings, trace.times, trace.positions)),
             stretch=float(trace.strain.max()),
             observables={kind: float(values[-1]) for kind, values in trace.observables.items()},
             stopped=trace.stopped,

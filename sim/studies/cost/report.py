@@ -176,7 +176,9 @@ class Variant(Struct, kw_only=True, frozen=True):
     ]
     penetrations: Annotated[int, Meta(description="most vertices inside an obstacle at the end of a step")]
     deepest: Annotated[float, Meta(description="m")]
-    crossings: Annotated[int, Meta(description="pairs of cloth that cross at the end")]
+    crossings: Annotated[
+        int, Meta(description="most edges that go through triangles, of cloth or mesh obstacles, at a look")
+    ]
     stretch: Annotated[float, Meta(description="largest strain of an edge seen")]
     observables: dict[str, float]
     stopped: str

@@ -16,9 +16,10 @@ def test_energies_penetrations_and_stretch_are_those_of_direct_runs(compared, la
         world = sim.Simulation(landing, contact=variant.settings.contact)
         ends = world.mesh.rest_vertices[world.edges]
         rest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        start, reports, strains = sum(world.energy().values()), [], []
+        start, reports, strains, crossed = sum(world.energy().values()), [], [], [0]
         for _ in range(round(compared.seconds / world.settings.dt)):
             reports.append(world.step())
+            crossed.append(len(sim.intersections(world.positions, world.triangles)))
             ends = world.positions[world.edges]
             strains.append((np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / rest).max() - 1.0)
         assert variant.energy == world.energy()
@@ -27,7 +28,7 @@ def test_energies_penetrations_and_stretch_are_those_of_direct_runs(compared, la
         assert variant.penetrations == max(report.penetrations for report in reports)
         assert variant.deepest == max(report.deepest for report in reports)
         assert variant.stretch == max(strains)
-        assert variant.crossings == len(sim.intersections(world.positions, world.triangles))
+        assert variant.crossings == max(crossed)
         assert variant.matvecs * compared.seconds == pytest.approx(sum(r.iterations for r in reports))
         assert variant.ms == pytest.approx(sum(variant.phases.values()), rel=0.5)  # phases are most of a step
 
