@@ -172,11 +172,12 @@ def _residual(world: Simulation, x: np.ndarray) -> float:
 
 
 def _relax(world: Simulation) -> Snapshot:
-    """Obstacles stay where they are at time zero, and there are no gusts."""
+    """Obstacles stay where they are at time zero, there are no gusts, and what solves leave is no motion."""
     first = [msgspec.structs.replace(o, path=o.path[:1]) for o in world.scene.obstacle]
-    steady = msgspec.structs.replace(world.settings, gust=0.0)
+    size = float(np.ptp(world.positions, axis=0).max()) or 1.0
+    fine = min(world.settings.tolerance, STILL * size / WATCHED)
+    steady = msgspec.structs.replace(world.settings, gust=0.0, tolerance=fine)
     moving = Simulation(msgspec.structs.replace(world.scene, obstacle=first, settings=steady))
-    size = float(np.ptp(moving.positions, axis=0).max()) or 1.0
     kinetic, moved, before = 0.0, np.inf, moving.positions.copy()
     for k in range(MOST_CONTACT_STEPS):
         moving.step()

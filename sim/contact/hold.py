@@ -1,4 +1,4 @@
-"""The last resort: vertices that go no farther than nothing can be met."""
+"""Vertices that are held back: they go no farther than they may."""
 
 from __future__ import annotations
 

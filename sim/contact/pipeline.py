@@ -20,10 +20,11 @@ from msgspec.structs import replace as replaced
 from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.eruption import erupts
-from sim.contact.faces import NOBODY, Faces
+from sim.contact.faces import Faces
 from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.impact import EDGE_EDGE
+from sim.contact.last_resort import LastResort
 from sim.contact.obstacles import MESH, Obstacles, Poses, Shapes
 from sim.contact.pairs import Feels, Pairs
 from sim.contact.pinch import fit
@@ -59,15 +60,6 @@ MOST_DEEPER = 7
 
 MOST_OVERRUNS = 4
 """Parts of a step in which one did after all: it is a pinch, and no other part is halved so often for it."""
-
-TOUCHING = 1e-3
-"""Part of the usual gap within which an obstacle touches what is pinned, and does not pass it closely."""
-
-MOST_TURNS = 4
-"""Turns of holding back what meets, and what meets that, before all vertices are."""
-
-STUCK = 12
-"""Turns of holding back all vertices; more than three are never needed where they are of use."""
 
 NO_JOINS = np.zeros((0, 2), dtype=np.int64)
 
@@ -385,33 +377,13 @@ class Pipeline:
             self._share(report, pairs, made)
         return self._acting(hits, way)
 
-    def _met(self, way: _Way, pairs: Pairs | None, end: np.ndarray) -> tuple[Contacts, Contacts]:
-        """What meets on the way to `end` and can be pushed apart, and what obstacles run over.
+    def _last_resort(self, way: _Way, pairs: Pairs | None) -> LastResort:
+        """What is left to do in this step where impulses do not find a way."""
 
-        That weighs nothing that can move. With the obstacle that runs over a vertex, its other contacts are
-        let go, too.
-        """
-        hits, inverse_masses = self._hits(way, pairs, end), self._model.inverse_masses
-        fixed = ~np.isfinite(hits.masses(inverse_masses))
-        if not fixed.any():
-            return hits, NO_CONTACTS
-        hits, lost = hits.only(~fixed), self._hits(way, pairs, end, TOUCHING)
-        lost = lost.only(~np.isfinite(lost.masses(inverse_masses)))
-        of_hits, of_lost = self._partners(pairs, hits), self._partners(pairs, lost)
-        gone = np.zeros(len(of_hits), dtype=bool)
-        for o in np.unique(of_lost):
-            over = lost.only(of_lost == o)
-            over = np.unique(over.node[over.weight != 0.0])
-            gone |= (of_hits == o) & np.isin(hits.node, over).any(axis=1)
-        return hits.only(~gone), lost
+        def hits(end: np.ndarray, part: float) -> Contacts:
+            return self._hits(way, pairs, end, part)
 
-    def _partners(self, pairs: Pairs | None, contacts: Contacts) -> np.ndarray:
-        """(c,) the obstacle that each of the contacts is with, NOBODY where that is cloth."""
-        obstacle = self._faces.obstacle(contacts)
-        if pairs is not None:
-            of_pairs = contacts.key >= self._faces.last_key
-            obstacle[of_pairs] = pairs.obstacle(contacts.only(of_pairs))
-        return obstacle
+        return LastResort(self._faces, pairs, self._model.free, self._model.inverse_masses, hits)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -559,9 +531,10 @@ class Pipeline:
             All contacts, and the impulses [N s] that they were given after the solve.
         """
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
+        resort = self._last_resort(way, pairs)
         for _ in range(MOST_ROUNDS):
             with report.phase("detect"):
-                hits, lost = self._met(way, pairs, x)
+                hits, lost = resort.met(x)
                 beyond = self._detect(response, way, x)
                 beyond = beyond.only(
                     ~np.isin(beyond.key, contacts.key) & (lacks(response, beyond, x, h) > s.tolerance)
@@ -581,7 +554,8 @@ class Pipeline:
                 way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
         if not last:
             return None
-        held, over, lost = self._hold_back(pairs, way, x)
+        with report.phase("detect"):
+            held, over, lost = resort.hold_back(way.x, x)
         if len(over.key) and not way.deepest:
             return None
         report.run_over(over.and_also(lost))
@@ -589,64 +563,3 @@ class Pipeline:
         report.held_back += int(np.count_nonzero(held))
         report.failsafes += bool(held.any())
         return contacts, given
-
-    def _hold_back(
-        self, pairs: Pairs | None, way: _Way, x: np.ndarray
-    ) -> tuple[np.ndarray, Contacts, Contacts]:
-        """Let vertices that would still meet something go only as far as nothing can be met; speeds stay.
-
-        Those that would meet an obstacle that moves go along with it: where they were, it comes; and so do
-        those that would meet them. Where that leads others into what they would not have met, over and over,
-        all go along, then none.
-
-        Returns:
-            (n,) bool, which vertices were held back; what meets nevertheless; and what nothing could help.
-        """
-        free, end = self._model.free, x.copy()
-        rest, carrier = way.x.copy(), np.full(len(x), NOBODY)
-        found = self._held(pairs, way, x, rest, carrier, MOST_TURNS)
-        carriers = np.unique(carrier[carrier >= 0])
-        if len(found[1].key) and len(carriers) == 1:
-            x[:], rest[free] = end, self._faces.along(carriers[0], free)
-            found = self._held(pairs, way, x, rest, None, STUCK)
-        if len(found[1].key):
-            x[:], rest[:] = end, way.x
-            found = self._held(pairs, way, x, rest, None, STUCK)
-        return found
-
-    def _held(
-        self,
-        pairs: Pairs | None,
-        way: _Way,
-        x: np.ndarray,
-        rest: np.ndarray,
-        carrier: np.ndarray | None,
-        turns: int,
-    ) -> tuple[np.ndarray, Contacts, Contacts]:
-        """Let what meets on the way to `x` (n, 3) [m] end near `rest` (n, 3) [m], and return as `_hold_back`.
-
-        `carrier` (n,) says by which obstacle each vertex rests, and more come to rest by one as they meet it;
-        without it, rests stay, and all that can move is held back together.
-        """
-        free, held = self._model.free, np.zeros(len(x), dtype=bool)
-        over = lost = NO_CONTACTS
-        for turn in range(turns + 1):
-            with way.report.phase("detect"):
-                over, lost = self._met(way, pairs, x)
-            if turn == turns or not len(over.key):
-                break
-            obstacle, carried = self._partners(pairs, over), False
-            if carrier is not None:
-                carried = self._faces.carry(over, obstacle, rest, carrier, held)
-            shortened = self._faces.shorten(x, over.only(over.key < self._faces.last_key), rest)
-            if pairs is not None:
-                # All vertices of a pair: it might turn about those that weigh nothing where it meets.
-                node = over.only(over.key >= self._faces.last_key).node
-                which = np.flatnonzero(free) if carrier is None else np.unique(node[free[node]])
-                shortened = np.union1d(shortened, pairs.shorten(x, which, rest))
-            if not (len(shortened) or carried):
-                break
-            stay = shortened[held[shortened]]  # what is left of these ways is rounding
-            x[stay] = rest[stay]
-            held[shortened] = True
-        return held, over, lost
