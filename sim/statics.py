@@ -40,7 +40,7 @@ EPSILON = 8.0 * float(np.finfo(float).eps)
 NUDGE, SLOWEST_FALL = 1e-5, 30.0
 """Part of the cloth's size by which it is moved off a saddle, and the time [s] in which that leaves it."""
 
-MOST_STEPS, MOST_CONTACT_STEPS = 1500, 6000
+MOST_STEPS, MOST_CONTACT_STEPS = 1500, 12000
 """Steps after which there is taken to be no equilibrium."""
 
 SHORTEST, FIRST, LONGEST, GROWTH = 1e-7, 1e-2, 1e4, 4.0
