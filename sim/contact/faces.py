@@ -71,9 +71,9 @@ class Faces:
     def __init__(self, mesh: Mesh, free: np.ndarray, obstacles: Obstacles, first_key: int) -> None:
         faces = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
         movable = free[faces].any(axis=1)
-        order, moves = np.argsort(~movable, kind="stable"), any(part.path for part in obstacles.parts)
         self._free, self._movable = free, int(np.count_nonzero(movable))
-        self._faces = np.ascontiguousarray(faces[order[: None if moves else self._movable]], dtype=np.int32)
+        order = np.argsort(~movable, kind="stable")[: None if obstacles.moves.any() else self._movable]
+        self._faces = np.ascontiguousarray(faces[order], dtype=np.int32)
         self._first_key, self._room, self._shapes = first_key, 64, len(obstacles.parts)
         self.last_key = first_key + len(self._faces) * len(obstacles.parts)
 
@@ -104,9 +104,13 @@ class Faces:
 
     def along(self, o: int, which: np.ndarray) -> np.ndarray:
         """(k, 3) where the vertices `which` end that go along with obstacle o [m]."""
-        x, before, after, *_ = self._step
-        local = (x[which] - before.position[o]) @ before.rotation[o]
-        return local @ after.rotation[o].T + after.position[o]
+        after = self._step[2]
+        return self._seen_from(o)[which] @ after.rotation[o].T + after.position[o]
+
+    def _seen_from(self, o: int) -> np.ndarray:
+        """(n, 3) where the vertices start, in the frame of obstacle o [m]."""
+        x, before, *_ = self._step
+        return (x - before.position[o]) @ before.rotation[o]
 
     def carry(
         self, hits: Contacts, obstacle: np.ndarray, rest: np.ndarray, carrier: np.ndarray, held: np.ndarray
@@ -171,19 +175,18 @@ class Faces:
 
     def _through_planes(self, shapes: Shapes, end: np.ndarray, gap: float) -> Contacts:
         """Contacts of vertices that come nearer than `gap` [m] to a plane before they are at `end` (n, 3)."""
-        x, before, after, h, _ = self._step
+        x, _, after, h, _ = self._step
         found = [NO_CONTACTS]
         for o in np.flatnonzero(shapes.kind == PLANE).tolist():
-            start = (x - before.position[o]) @ before.rotation[o]
-            normal = after.rotation[o][:, 2]
+            start, normal = self._seen_from(o)[:, 2], after.rotation[o][:, 2]
             height = (end - after.position[o]) @ normal
-            which = np.flatnonzero((start[:, 2] > 0.0) & (height < np.minimum(gap, ROOM * start[:, 2])))
+            which = np.flatnonzero((start > 0.0) & (height < np.minimum(gap, ROOM * start)))
             contacts = make_contacts(len(which))
             contacts.key[:], contacts.node[:] = which * self._shapes + o, which[:, None]
             contacts.weight[:, 0], contacts.normal[:] = 1.0, normal
-            contacts.start[:], contacts.offset[:] = start[which, 2], normal @ after.position[o]
+            contacts.start[:], contacts.offset[:] = start[which], normal @ after.position[o]
             contacts.speed[:] = (self.along(o, which) - x[which]) / h
-            contacts.thickness[:] = np.minimum(AFTER * gap, start[which, 2])
+            contacts.thickness[:] = np.minimum(AFTER * gap, start[which])
             found.append(contacts)
         return functools.reduce(Contacts.and_also, found)
 

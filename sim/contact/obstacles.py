@@ -110,6 +110,7 @@ class Obstacles:
         labels: What each one is called.
         shapes: Of all of them.
         solid: The surfaces of those that are meshes, in their own frames.
+        moves: (o,) bool, which of them have a path.
     """
 
     def __init__(self, scene: Scene, shells: Sequence[Shell | None] = ()) -> None:
@@ -119,6 +120,7 @@ class Obstacles:
             np.array(kinds, dtype=np.int64), np.array(halves, dtype=float).reshape(-1, 3), np.array(radii)
         )
         self.solid = _joined(shells)
+        self.moves = np.array([bool(part.path) for part in self.parts], dtype=bool)
         self._felt: tuple[tuple[str, str], Felt] | None = None
 
     def felt(self, settings: Settings) -> Felt:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from time import perf_counter
 
 import numpy as np
@@ -317,9 +317,8 @@ class Pipeline:
             return None
         pairs = self._pairs
         if pairs is None or pairs.feels != feels or pairs.solid is not felt.solid:
-            moves = np.array([bool(part.path) for part in self.obstacles.parts], dtype=bool)
             about = mesh, self._unpinned, felt.solid, feels, self._faces.last_key
-            pairs = self._pairs = Pairs(*about, moves[felt.solid.part])
+            pairs = self._pairs = Pairs(*about, self.obstacles.moves[felt.solid.part])
         forced = "on" in (s.self_collision, s.cloth_collision, s.edge_edge, s.obstacles)
         pairs.exhaustive = forced or bool(felt.forced.any())
         return pairs
@@ -376,14 +375,6 @@ class Pipeline:
             report.costs["continuous_detection"] -= made
             self._share(report, pairs, made)
         return self._acting(hits, way)
-
-    def _last_resort(self, way: _Way, pairs: Pairs | None) -> LastResort:
-        """What is left to do in this step where impulses do not find a way."""
-
-        def hits(end: np.ndarray, part: float) -> Contacts:
-            return self._hits(way, pairs, end, part)
-
-        return LastResort(self._faces, pairs, self._model.free, self._model.inverse_masses, hits)
 
     def _detect(self, response: Response | None, way: _Way, end: np.ndarray) -> Contacts:
         """Contacts with obstacles on the way to `end`."""
@@ -531,7 +522,8 @@ class Pipeline:
             All contacts, and the impulses [N s] that they were given after the solve.
         """
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
-        resort = self._last_resort(way, pairs)
+        hits_to = partial(self._hits, way, pairs)
+        resort = LastResort(self._faces, pairs, self._model.free, inverse_masses, hits_to)
         for _ in range(MOST_ROUNDS):
             with report.phase("detect"):
                 hits, lost = resort.met(x)
