@@ -87,7 +87,7 @@ def nothing_to_compile(scene, progress):
     progress(1, 1, "ready")
 
 
-def wait_until(condition, seconds=20.0):
+def wait_until(condition, seconds=60.0):
     """Wait for another thread to make `condition()` true; how long it takes is no matter of these tests."""
     end = time.monotonic() + seconds
     while not condition():
