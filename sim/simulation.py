@@ -400,11 +400,13 @@ class Simulation:
     def _advance(self, report: StepReport) -> tuple[Solution, Touch]:
         """Where the state goes in one step, and how hard it touches what."""
 
-        def solve(springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray) -> Solution:
+        def solve(
+            springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray, guess: np.ndarray | None
+        ) -> Solution:
             way = settings, x, v, self._previous if settings is self.settings else None
             tally = Tally(self.model, springs, self._books.rows) if self._books is not None else None
             try:
-                solution, report.integrator = take_step(self.model, springs, *way, tally)
+                solution, report.integrator = take_step(self.model, springs, *way, tally, guess)
             except SolveError as error:
                 raise StepError(str(error), "solve", suspect(self.settings)) from None
             self._refuse_beyond_bounds(solution, "solve")  # before it is looked for what all of it meets

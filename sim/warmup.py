@@ -112,7 +112,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
 def _touch(world: Simulation) -> None:
     """Call what finds contacts and answers them, on the way that a step would take without springs."""
 
-    def fall(_: GapSprings, s: Settings, x: np.ndarray, v: np.ndarray) -> Solution:
+    def fall(_: GapSprings, s: Settings, x: np.ndarray, v: np.ndarray, __: object) -> Solution:
         v = v + s.dt * np.asarray(s.gravity)
         return Solution(x + s.dt * v, v, 0, 1, 0.0, True, "", "")
 

@@ -25,9 +25,12 @@ def erupts(
     pressed: np.ndarray,
     x: np.ndarray,
     v: np.ndarray,
+    solved: Solution,
     end: Solution,
-) -> bool:
-    """Whether a step put in more energy than obstacles can have given, or overlaps that were recovered.
+) -> str:
+    """What put in more energy than obstacles can have given, or overlaps that were recovered.
+
+    Returns "impulses" where those after the solve did that by themselves, else "solve"; "" where nothing did.
 
     Args:
         model: Springs and masses.
@@ -36,14 +39,19 @@ def erupts(
         pressed: (c,) what each of them gave [N s].
         x: (n, 3) positions at its start [m].
         v: (n, 3) velocities there [m/s].
-        end: Of the step.
+        solved: Its end before impulses.
+        end: Its end.
     """
     if not len(contacts.key):
-        return False
+        return ""
     mass, speed = model.masses, np.linalg.norm(contacts.speed, axis=1)
     moved = np.unique(contacts.node[contacts.weight != 0.0])
     work = (1.0 + settings.friction) * float(pressed @ speed)
     thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
     lifted = 0.5 * RECOVERY_SPEED**2 + settings.thickness * float(np.linalg.norm(settings.gravity))
     gain, before, _, blown = model.gain(x, v, end.positions, end.velocities, settings.dt)
-    return gain > work + blown + thrown + mass.sum() * lifted + GROWTH * before
+    allowed = work + blown + thrown + mass.sum() * lifted + GROWTH * before
+    if not gain > allowed:
+        return ""
+    by_solve = model.gain(x, v, solved.positions, solved.velocities, settings.dt)[0]
+    return "impulses" if gain - by_solve > allowed else "solve"

@@ -49,8 +49,9 @@ MOST_ROUNDS = 8
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
 
-NEWTON = 2
-"""Newton iterations of a step that put in energy with fewer: its line search asks the springs themselves."""
+NEWTON, STIFFER = 2, 10.0
+"""Newton iterations of a step that put in energy with fewer, as their line search asks the springs; and how
+much stiffer its gap springs are where it was impulses, which do not ask: so they have less to do."""
 
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
@@ -63,7 +64,8 @@ MOST_OVERRUNS = 4
 
 NO_JOINS = np.zeros((0, 2), dtype=np.int64)
 
-Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray], Solution]
+Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray, np.ndarray | None], Solution]
+"""solve(springs, settings, x, v, guess): `guess` is velocities near those at its end, where there are any."""
 
 
 @dataclass
@@ -79,7 +81,9 @@ class _Way:
     report: StepReport
     part: Part | Unbooked
     deepest: bool = False
-    erupted: bool = False
+    erupted: str = ""
+    springs: GapSprings = NO_GAP_SPRINGS  # that the last solve of it felt
+    guess: np.ndarray | None = None  # and the velocities that it ended with
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -210,8 +214,8 @@ class Pipeline:
     ) -> tuple[Solution, Touch]:
         """Take a step, or where that leads to a tangle its two halves one after the other.
 
-        One that puts in energy is first repeated with more Newton iterations: cloth that is stopped within an
-        edge's length stretches in a way that no linear model tells.
+        One that puts in energy is first repeated, from where it led, with more Newton iterations: cloth
+        that is stopped within an edge's length stretches in a way that no linear model tells.
         """
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
@@ -220,9 +224,11 @@ class Pipeline:
         deepest = halvings == -MOST_DEEPER or (halvings <= 0 and report.overruns >= MOST_OVERRUNS)
         way = _Way(settings, *poses, x, v, solve, report, part, deepest)
         found = self._attempt(way, response, pairs, touched, last)
-        if way.erupted and settings.newton < NEWTON:
+        if way.erupted and response is not None and settings.newton < NEWTON:
             settings = replaced(settings, newton=NEWTON)
-            way = replace(way, settings=settings)
+            if way.erupted == "impulses":
+                response = replace(response, stiffness=STIFFER * response.stiffness)
+            way = replace(way, settings=settings, erupted="")
             found = self._attempt(way, response, pairs, touched, last)
         if found is not None:
             if isinstance(part, Part):
@@ -262,7 +268,8 @@ class Pipeline:
                 found = self._fitted(near, self._detect(response, way, end), end, report)
                 springs = self._gap_springs(response, way, len(near.key), found, end, touched)
             with report.phase("solve"):
-                solution = way.solve(springs, s, way.x, way.v)
+                solution = way.solve(springs, s, way.x, way.v, way.guess)
+            way.springs, way.guess = springs, solution.velocities
             with report.phase("detect"):
                 x = solution.positions
                 contacts = self._fitted(near, self._detect(response, way, x), x, report)
@@ -288,7 +295,7 @@ class Pipeline:
         """Take a step that feels nothing, then put right what it led into."""
         s, report = way.settings, way.report
         with report.phase("solve"):
-            solution = way.solve(NO_GAP_SPRINGS, s, way.x, way.v)
+            solution = way.solve(NO_GAP_SPRINGS, s, way.x, way.v, None)
         report.iterations += solution.iterations
         x, v = solution.positions, solution.velocities
         if not np.isfinite(x).all():
@@ -409,6 +416,7 @@ class Pipeline:
             response = replace(response, carries=False)
         state = self._model.inverse_masses, end, way.v, *touched.ahead(contacts.key, way.settings.dt)
         springs = gap_springs(response, contacts, near, *state, way.settings)
+        springs.rub_like(way.springs)
         if response is not None and not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
         return springs
@@ -457,7 +465,8 @@ class Pipeline:
             return None
         end, met, pressed = found
         watched = response.impulses and response.solved and not last
-        way.erupted = watched and erupts(self._model, s, met, pressed, way.x, way.v, end)
+        if watched:
+            way.erupted = erupts(self._model, s, met, pressed, way.x, way.v, solution, end)
         return None if way.erupted else (end, touch(met.key, pressed, felt.of(met.key)[1], h))
 
     def _push(

@@ -101,6 +101,7 @@ def backward_euler(
     start: np.ndarray,
     filtered: int = FILTERED,
     booked: bool = False,
+    guess: np.ndarray | None = None,
 ) -> Solution:
     """Solve one backward-Euler step from (`x_hat`, `v_hat`) over `h` [s].
 
@@ -114,15 +115,14 @@ def backward_euler(
         start: (n, 3) positions to linearise at first [m].
         filtered: Newton iterations before those with the exact Hessian.
         booked: Whether to say what the solve felt.
+        guess: (n, 3) velocities near those that the first linear solve ends with; `v_hat` without [m/s].
 
     Raises:
         SolveError: where the matrix is not positive definite or a number is not finite.
     """
     velocities = (start - x_hat) / h
-    guess, shortcut = (
-        v_hat - velocities,
-        model.confined(np.broadcast_to(h * np.asarray(settings.gravity), start.shape)),
-    )
+    fall = model.confined(np.broadcast_to(h * np.asarray(settings.gravity), start.shape))
+    guess, shortcut = (v_hat if guess is None else guess) - velocities, fall
     iterations, newton = 0, 0
     while True:
         newton += 1

@@ -28,6 +28,7 @@ def take_step(
     v: np.ndarray,
     previous: State | None,
     tally: Tally | None = None,
+    guess: np.ndarray | None = None,
 ) -> tuple[Solution, str]:
     """The state settings.dt after (`x`, `v`), and the name of the integrator that took it there.
 
@@ -40,6 +41,7 @@ def take_step(
         v: (n, 3) velocities [m/s], zero for pinned vertices.
         previous: The state one step before, where the integrator may use it.
         tally: Of a ledger, to be integrated along with the state.
+        guess: (n, 3) velocities near those at its end, where a step much like it has been solved [m/s].
 
     Raises:
         SolveError: as `backward_euler`.
@@ -48,11 +50,11 @@ def take_step(
     if INTEGRATORS[name].implicit and len(contacts.drag):
         name = CALM
     given = model, contacts, settings, x, v
-    end = _advanced(name, *given, previous, tally)
+    end = _advanced(name, *given, previous, tally, guess)
     chosen = INTEGRATORS[name]
     if name != CALM and chosen.calms and not chosen.looks_back and _grew(model, settings, x, v, end):
         name = CALM
-        end = _advanced(name, *given, None, tally)
+        end = _advanced(name, *given, None, tally, guess)
     return end, name
 
 
@@ -71,6 +73,7 @@ def _advanced(
     v: np.ndarray,
     previous: State | None,
     tally: Tally | None,
+    guess: np.ndarray | None,
 ) -> Solution:
     """The end of a step of the integrator `name`."""
     stages: list[Solution] = []
@@ -79,7 +82,8 @@ def _advanced(
     def solve(x_hat: np.ndarray, v_hat: np.ndarray, h: float) -> State:
         start = stages[-1].positions if stages else x
         kernel = model, contacts, settings, x_hat[:n], v_hat[:n], h, start
-        stages.append(backward_euler(*kernel, booked=tally is not None))
+        near = None if stages else guess
+        stages.append(backward_euler(*kernel, booked=tally is not None, guess=near))
         if tally is not None:
             return tally.after(stages[-1], v_hat, h)
         return stages[-1].positions, stages[-1].velocities

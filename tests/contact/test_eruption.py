@@ -2,6 +2,7 @@
 
 from sim.scene import load_scene
 from sim.simulation import Simulation
+from sim.solve import implicit, stepping
 
 FINE = {
     "cloth": {"kind": "grid", "size": [0.4, 0.4], "resolution": [41, 41], "position": [0.0, 0.0, 0.02]},
@@ -30,3 +31,35 @@ def test_a_step_that_lands_softly_is_linearised():
     soft = FINE | {"settings": FINE["settings"] | {"stretch": 0.1, "altitude": 0.1}}
     sim = Simulation(load_scene(soft))
     assert [sim.step().newton for _ in range(5)] == [1] * 5
+
+
+def test_cloth_that_impulses_would_throw_is_held_by_stiffer_gap_springs():
+    """Finer and stiffer than before: the springs along the cloth are 10⁵ times the masses over h²."""
+    cloth = FINE["cloth"] | {"resolution": [61, 61]}
+    settings = FINE["settings"] | {"stretch": 100.0, "altitude": 100.0}
+    sim = Simulation(load_scene(FINE | {"cloth": cloth, "settings": settings}))
+    reports = [sim.step() for _ in range(14)]
+    assert sum(report.newton > 1 for report in reports) > 5  # else nothing is shown
+    assert all(report.substeps == 1 for report in reports[5:])  # the first ones meet the ball head-on
+
+
+def test_a_step_that_is_solved_again_begins_where_it_was(monkeypatch):
+    """Its linear model is the same at first, with the same contacts."""
+    begun, solve, tried = [], implicit._solve, stepping.backward_euler
+
+    def try_anew(*args, **more):
+        begun.append([])
+        return tried(*args, **more)
+
+    def counted(*args, **more):
+        found = solve(*args, **more)
+        begun[-1].append(found.iterations)
+        return found
+
+    monkeypatch.setattr(stepping, "backward_euler", try_anew)
+    monkeypatch.setattr(implicit, "_solve", counted)
+    sim = Simulation(load_scene(FINE))
+    while sim.step().newton == 1:
+        begun.clear()
+    first, again = begun
+    assert again[0] < 0.5 * first[0]
