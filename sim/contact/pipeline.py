@@ -10,14 +10,14 @@ no farther than they can without meeting anything.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from time import perf_counter
 
 import numpy as np
 from msgspec.structs import replace as replaced
 
-from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
+from sim.contact.contacts import NO_CONTACTS, NOT_OVER, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.eruption import erupts
 from sim.contact.faces import Faces
@@ -26,6 +26,7 @@ from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.impact import EDGE_EDGE
 from sim.contact.last_resort import LastResort
 from sim.contact.obstacles import MESH, Obstacles, Poses, Shapes
+from sim.contact.overrun import joined, still_over
 from sim.contact.pairs import Feels, Pairs
 from sim.contact.pinch import fit
 from sim.contact.reach import box, within_reach
@@ -80,6 +81,7 @@ class _Way:
     part: Part | Unbooked
     deepest: bool = False
     erupted: bool = False
+    over: np.ndarray = field(default_factory=lambda: NOT_OVER)
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -133,7 +135,11 @@ class Pipeline:
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
             pairs.reached[:], pairs.felt[:] = False, 0
-        end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
+        touched = self.touched
+        if len(touched.over):
+            about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
+            touched = touched._replace(over=still_over(touched.over, *about))
+        end = self._part(settings, response, pairs, time, x, v, touched, solve, report, MOST_HALVINGS)
         if pairs is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
             report.felt = self._by_effect(pairs.felt)
@@ -142,6 +148,7 @@ class Pipeline:
         if self._resting:
             resting = self.touched.only(np.isin(self.touched.key, np.concatenate(self._resting)))
             touched = touched.and_also(resting.still())
+        report.overrun = len(np.unique(touched.over[:, 0]))
         return solution, touched
 
     def _acting(self, contacts: Contacts, way: _Way) -> Contacts:
@@ -247,6 +254,7 @@ class Pipeline:
         the way that they took, and the step solved again where that led into some.
         """
         s, report, h = way.settings, way.report, way.settings.dt
+        way.over = touched.over
         if response is not None and response.projects:
             return self._projected(way, pairs)
         fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
@@ -340,7 +348,7 @@ class Pipeline:
         if pairs is not None:
             begin = perf_counter()
             before, after = (self.obstacles.corners(p, pairs.solid) for p in (way.before, way.after))
-            near = pairs.begin(way.x, before, after, s.dt, s.thickness)
+            near = pairs.begin(way.x, before, after, s.dt, s.thickness, way.over)
             self._share(report, pairs, 1e3 * (perf_counter() - begin))
         about = way.x, way.before, way.after, s.dt, s.thickness
         if not self.obstacles.felt(s).which.any():
@@ -458,7 +466,8 @@ class Pipeline:
         end, met, pressed = found
         watched = response.impulses and response.solved and not last
         way.erupted = watched and erupts(self._model, s, met, pressed, way.x, way.v, end)
-        return None if way.erupted else (end, touch(met.key, pressed, felt.of(met.key)[1], h))
+        pressing = touch(met.key, pressed, felt.of(met.key)[1], h)
+        return None if way.erupted else (end, pressing._replace(over=way.over))
 
     def _push(
         self,
@@ -532,7 +541,7 @@ class Pipeline:
                     ~np.isin(beyond.key, contacts.key) & (lacks(response, beyond, x, h) > s.tolerance)
                 )
             if not len(hits.key) and not len(beyond.key):
-                report.run_over(lost)
+                way.over = joined(way.over, resort.run_over(lost))
                 return contacts, given
             report.hits += len(hits.key)
             known = len(contacts.key)
@@ -550,7 +559,7 @@ class Pipeline:
             held, over, lost = resort.hold_back(way.x, x)
         if len(over.key) and not way.deepest:
             return None
-        report.run_over(over.and_also(lost))
+        way.over = joined(way.over, resort.run_over(over.and_also(lost)))
         report.overruns += bool(len(over.key))
         report.held_back += int(np.count_nonzero(held))
         report.failsafes += bool(held.any())
