@@ -130,7 +130,7 @@ class Pairs:
         )
         self._parts = PARTS + int(solid.part.max(initial=-1)) + 1
         self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
-        ends = mesh.rest_vertices[mesh.edges]
+        ends = mesh.rest_vertices[mesh.edges] if len(mesh.edges) else solid.vertices[solid.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
         self.asked, self.listing = 0, 0.0
         self.forget()
