@@ -265,10 +265,9 @@ class Pairs:
         if len(self._distance) != len(pairs.kind):
             self._measure(pairs)
         self.asked += len(pairs.kind)
-        if self.asked > max(MOST_ASKED, MOST_LISTS * self._broad.most):
-            raise CandidateError(
-                f"{self.asked:,} times a pair was asked whether it meets, too often for one step"
-            )
+        most = max(MOST_ASKED, MOST_LISTS * self._broad.most)
+        if self.asked > most:
+            raise CandidateError(self.asked, most)
 
     def _renew(self, end: np.ndarray) -> Candidates:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""
