@@ -6,15 +6,12 @@ import trimesh
 
 import sim
 from sim.contact import pipeline
-from sim.contact.obstacles import MESH, PLANE
-from sim.scene import Box
 from sim.stress.contact import loose_triangles
 from sim.stress.keep import load, pack, save
-from tests.contact.judge import EDGE_EDGE, VERTEX_TRIANGLE, distances
+from tests.contact.judge import offending
 from tests.worlds import ball, grid, scene
 
 DOWN = [0, 0, -9.81]
-CUBE = trimesh.creation.box((1, 1, 1))
 
 
 def body(mesh, **more):
@@ -47,39 +44,8 @@ SHAPES = {
 
 
 def touched(world):
-    """Triangles of cloth that are not outside of every obstacle, or cross each other."""
-    x, corners, found = world.positions, world.triangles, 0
-    obstacles = world.contact.obstacles
-    solid = obstacles.solid
-    y = np.concatenate([x, obstacles.corners(obstacles.poses(world.time))])
-    every = np.concatenate([corners, solid.triangles + len(x)])
-    for part, (position, rotation) in zip(world.scene.obstacle, world.obstacle_poses(), strict=True):
-        local = (x - position) @ rotation
-        kind = obstacles.shapes.kind[world.scene.obstacle.index(part)]
-        if kind == PLANE:
-            found += np.count_nonzero((local[corners][:, :, 2] < 0.0).any(axis=1))
-        elif isinstance(part, Box):
-            y = np.concatenate([y, CUBE.vertices * part.size @ rotation.T + position])
-            every = np.concatenate([every, CUBE.faces + len(y) - 8])
-            inside = (np.abs(local) < 0.5 * np.array(part.size)).all(axis=1)
-            found += np.count_nonzero(inside[corners].any(axis=1))
-        elif kind != MESH:
-            half = obstacles.shapes.half[world.scene.obstacle.index(part), 2]
-            ends = np.array([[0, 0, -half], [0, 0, half]])
-            points = [np.concatenate([end[None], t]) for end in ends for t in local[corners]]
-            lines = [
-                np.concatenate([ends, t[side]]) for t in local[corners] for side in ([0, 1], [1, 2], [2, 0])
-            ]
-            apart = np.minimum(
-                distances(VERTEX_TRIANGLE, points).reshape(2, -1).min(axis=0),
-                distances(EDGE_EDGE, lines).reshape(-1, 3).min(axis=1),
-            )
-            found += np.count_nonzero(apart <= part.radius)
-    sides = np.unique(np.sort(every[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    crossing = sim.intersections(y, every)
-    return found + np.count_nonzero(
-        np.minimum(sides[crossing[:, 0], 0], every[crossing[:, 1]].min(axis=1)) < len(x)
-    )
+    """How much of the cloth crosses itself, or is not outside of every obstacle."""
+    return len(offending(world))
 
 
 def shot(kind, seed):
