@@ -48,7 +48,7 @@ REFUSED = {
     "truth for numbers": (cloth(vertices=[[True] * 3] * 3), r"vertices\[0\]: expected 3 finite numbers"),
     "nothing for a number": (
         cloth(vertices=[[0, 0, 0], [0, None, 0]]),
-        r"vertices\[1\]: .*got \[0, None, 0\]",
+        r"vertices\[1\]: .*None",
     ),
     "ragged rows": (cloth(vertices=[[0, 0, 0], [1, 0]]), r"vertices\[1\]: .*got \[1, 0\]"),
     "ragged faces": (cloth(triangles=[[0, 1, 2], [0, 1]]), r"triangles\[1\]: .*got \[0, 1\]"),

@@ -124,7 +124,7 @@ def make_contacts(c: int) -> Contacts:
 NO_CONTACTS = make_contacts(0)
 
 
-NOT_OVER = np.zeros((0, 2), dtype=np.int64)
+NOT_OVER, NOBODY = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
 class Touch(NamedTuple):
@@ -136,6 +136,7 @@ class Touch(NamedTuple):
         slip: (t,) speed at which the two sides passed each other after it [m/s].
         lasted: () how long it was [s].
         over: (k, 2) int64 vertices, and obstacles that have run over them (`sim.contact.overrun`).
+        watched: (m,) int64 mesh obstacles that all other cloth was kept apart from.
     """
 
     key: np.ndarray
@@ -143,6 +144,7 @@ class Touch(NamedTuple):
     slip: np.ndarray
     lasted: np.ndarray
     over: np.ndarray = NOT_OVER
+    watched: np.ndarray = NOBODY
 
     def ahead(self, keys: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """(c,) force [N] that the contacts with these `keys` may go on with for `h` [s], and (c,) their slip.
@@ -158,7 +160,7 @@ class Touch(NamedTuple):
         if not len(others.key):
             return self
         if not len(self.key):
-            return others._replace(over=self.over)
+            return others._replace(over=self.over, watched=self.watched)
         pressed = others.pressed * (self.lasted / others.lasted)  # by the same force
         both = zip(self[:3], (others.key, pressed, others.slip), strict=True)
         key, pressed, slip = (np.concatenate(pair) for pair in both)

@@ -17,7 +17,7 @@ from time import perf_counter
 import numpy as np
 from msgspec.structs import replace as replaced
 
-from sim.contact.contacts import NO_CONTACTS, NOT_OVER, UNTOUCHED, Contacts, Touch, touch
+from sim.contact.contacts import NO_CONTACTS, NOBODY, NOT_OVER, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.eruption import erupts
 from sim.contact.faces import Faces
@@ -26,7 +26,7 @@ from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.impact import EDGE_EDGE
 from sim.contact.last_resort import LastResort
 from sim.contact.obstacles import MESH, Obstacles, Poses, Shapes
-from sim.contact.overrun import joined, still_over
+from sim.contact.overrun import found_over, joined, still_over
 from sim.contact.pairs import Feels, Pairs
 from sim.contact.pinch import fit
 from sim.contact.reach import box, within_reach
@@ -82,6 +82,7 @@ class _Way:
     deepest: bool = False
     erupted: bool = False
     over: np.ndarray = field(default_factory=lambda: NOT_OVER)
+    watched: np.ndarray = field(default_factory=lambda: NOBODY)
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -135,10 +136,7 @@ class Pipeline:
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
             pairs.reached[:], pairs.felt[:] = False, 0
-        touched = self.touched
-        if len(touched.over):
-            about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
-            touched = touched._replace(over=still_over(touched.over, *about))
+        touched = self._not_apart(settings, response, time, x)
         end = self._part(settings, response, pairs, time, x, v, touched, solve, report, MOST_HALVINGS)
         if pairs is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
@@ -150,6 +148,18 @@ class Pipeline:
             touched = touched.and_also(resting.still())
         report.overrun = len(np.unique(touched.over[:, 0]))
         return solution, touched
+
+    def _not_apart(self, settings: Settings, response: Response | None, time: float, x: np.ndarray) -> Touch:
+        """What the last step left to remember, with what of the cloth obstacles are over now."""
+        touched, shapes = self.touched, self.obstacles.shapes
+        about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
+        over = still_over(touched.over, *about) if len(touched.over) else NOT_OVER
+        if response is None or not response.impulses or settings.detection == "static":
+            return touched._replace(over=over, watched=NOBODY)
+        watched = np.flatnonzero(self.obstacles.felt(settings).which & (shapes.kind == MESH))
+        for o in watched[~np.isin(watched, touched.watched)].tolist():
+            over = joined(over, found_over(o, *about))
+        return touched._replace(over=over, watched=watched)
 
     def _acting(self, contacts: Contacts, way: _Way) -> Contacts:
         """Those that can move something within the scene's plane; what parts they join is noted.
@@ -254,7 +264,7 @@ class Pipeline:
         the way that they took, and the step solved again where that led into some.
         """
         s, report, h = way.settings, way.report, way.settings.dt
-        way.over = touched.over
+        way.over, way.watched = touched.over, touched.watched
         if response is not None and response.projects:
             return self._projected(way, pairs)
         fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
@@ -467,7 +477,7 @@ class Pipeline:
         watched = response.impulses and response.solved and not last
         way.erupted = watched and erupts(self._model, s, met, pressed, way.x, way.v, end)
         pressing = touch(met.key, pressed, felt.of(met.key)[1], h)
-        return None if way.erupted else (end, pressing._replace(over=way.over))
+        return None if way.erupted else (end, pressing._replace(over=way.over, watched=way.watched))
 
     def _push(
         self,

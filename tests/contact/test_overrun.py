@@ -225,6 +225,32 @@ def test_a_pinch_is_told_as_long_as_it_lasts_and_nothing_is_left_of_it(cloth):
     assert np.abs(world.positions).max() < 0.2
 
 
+@pytest.mark.parametrize("switched", [{"contact": "none"}, {"obstacles": "off"}])
+def test_cloth_found_across_a_mesh_is_told_and_let_go_of_as_the_mesh_leaves(switched):
+    """It is not hung up on the edges that it was across when contact was switched on."""
+    path = [{"time": t, "position": [0, 0, z]} for t, z in ((0.0, 0.0), (0.1, 0.0), (0.2, 2.0))]
+    shape = body(trimesh.creation.icosphere(1, 0.1), path=path)
+    sheet = grid((0.3, 0.3), (9, 9), position=[0, 0, 0.12])
+    world = sim.Simulation(scene(sheet, shape, gravity=DOWN, self_collision="auto", **switched))
+    for _ in range(6):
+        world.step()
+    assert touched(world)
+    world.update(contact="impulse", obstacles="auto")
+    while world.time < 0.45:
+        report = world.step()
+        assert report.overrun or not touched(world)
+    assert not report.overrun
+    assert world.positions[:, 2].max() < 0.12  # it falls on, and is not taken along
+
+
+def test_cloth_that_belongs_inside_a_mesh_stays_inside():
+    room = trimesh.creation.box((1.0, 1.0, 1.0))
+    world = sim.Simulation(scene(grid((0.3, 0.3), (5, 5)), body(room), gravity=DOWN))
+    while world.time < 1.0:
+        assert not world.step().overrun
+    assert world.positions[:, 2].min() > -0.5
+
+
 def test_what_passes_closely_by_a_pin_runs_over_nothing():
     """Nearer than continuous detection lets cloth that can move."""
     path = [
