@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
 
 import numpy as np
@@ -24,25 +25,14 @@ def points(value: Any, where: str) -> np.ndarray:
 
 def numbers(value: Any, width: int, where: str) -> np.ndarray:
     """Finite float64 numbers (n, width), or (n,) for a width of zero."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{where}: expected numbers, got {error}") from None
-    shape = f"(n, {width})" if width else "(n,)"
-    if array.ndim != (2 if width else 1) or (width and array.shape[1] != width):
-        raise SceneError(f"{where}: expected an array of shape {shape}, got {array.shape}")
-    finite = np.isfinite(array)
-    if not finite.all():
-        row = int(np.argwhere(~finite)[0][0])
-        raise SceneError(f"{where}[{row}]: expected finite numbers, got {array[row].tolist()}")
-    return array
+    return _rows(value, width, where).astype(float)
 
 
 def indices(value: Any, width: int, n: int, where: str) -> np.ndarray:
     """(m, width) int64 indices of n vertices, distinct in each row; none for what was left out."""
-    if value is None or np.size(value) == 0:
+    if value is None:
         return np.zeros((0, width), dtype=np.int64)
-    array = numbers(value, width, where)
+    array = _rows(value, width, where)
     wrong = (array != np.floor(array)) | (array < 0) | (array >= n)
     ordered = np.sort(array, axis=1)
     repeated = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
@@ -54,3 +44,28 @@ def indices(value: Any, width: int, n: int, where: str) -> np.ndarray:
             row = int(np.argmax(bad))
             raise SceneError(f"{where}[{row}]: expected {reason}, got {array[row].tolist()}")
     return array.astype(np.int64)
+
+
+def _rows(value: Any, width: int, where: str) -> np.ndarray:
+    """Finite numbers of any type (n, width), or (n,) for a width of zero; nothing else is taken for one."""
+    shape, expected = (width,) if width else (), f"{width or 'a'} finite number{'s' if width else ''}"
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        array = np.zeros(0, dtype=object)
+    if array.size == 0 and array.dtype != object:
+        return np.zeros((0, *shape))
+    if array.ndim and array.shape[1:] == shape and array.dtype.kind in "iuf" and np.isfinite(array).all():
+        return array
+    for row, each in enumerate(value if isinstance(value, list | tuple | np.ndarray) else ()):
+        if not _is_row(each, shape):
+            raise SceneError(f"{where}[{row}]: expected {expected}, got {reprlib.repr(each)}")
+    raise SceneError(f"{where}: expected rows of {expected}, got {reprlib.repr(value)}")
+
+
+def _is_row(value: Any, shape: tuple[int, ...]) -> bool:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        return False
+    return array.shape == shape and array.dtype.kind in "iuf" and bool(np.isfinite(array).all())

@@ -115,6 +115,17 @@ def bare_edges(mesh: Mesh) -> np.ndarray:
     return mesh.edges[~np.isin(edges, known)]
 
 
+def elements(mesh: Mesh) -> np.ndarray:
+    """(f, 3) int32 all that can touch: triangles, edges that no triangle has, vertices that no edge has.
+
+    An edge repeats its second vertex, a vertex itself.
+    """
+    alone = np.ones(len(mesh.vertices), dtype=bool)
+    alone[mesh.edges] = False
+    single = np.flatnonzero(alone).astype(np.int32)[:, None]
+    return np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]], single[:, [0, 0, 0]]])
+
+
 def vertex_masses(mesh: Mesh, mass: str, density: float) -> np.ndarray:
     """(n,) masses [kg], all positive.
 

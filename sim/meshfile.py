@@ -61,6 +61,8 @@ def read_mesh(file: str, folder: str, scale: float = 1.0) -> tuple[np.ndarray, n
 def _check_indices(vertices: np.ndarray, triangles: np.ndarray) -> None:
     if len(triangles) == 0:
         raise ValueError("expected triangles, got none")
+    if len(vertices) == 0:
+        raise ValueError("expected vertices, got none")
     wrong = ((triangles < 0) | (triangles >= len(vertices))).any(axis=1)
     if wrong.any():
         face = int(np.argmax(wrong))

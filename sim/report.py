@@ -6,10 +6,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from sim.contact.contacts import Contacts
 
 
 class StepError(RuntimeError):
@@ -54,7 +50,8 @@ class StepReport:
         held_back: Vertices that had to be held back, as no impulse led them past what they would have met.
         failsafes: Parts of the step in which that happened.
         pinched: Vertices between obstacles that leave them less room than the thickness on both sides.
-        overrun: Vertices that an obstacle ran over: they are pinned, or had nowhere to go.
+        overrun: Vertices that an obstacle has run over and not let go of before the step: they are pinned, or
+            had nowhere to go.
         overruns: Parts of the step in which one did though they could move.
         substeps: Parts that the step was done in.
         integrator: What took the step: the setting, or what stood in for it.
@@ -116,11 +113,6 @@ class StepReport:
     discarded: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)
     _within: float = field(default=0.0, repr=False)
-
-    def run_over(self, contacts: Contacts) -> None:
-        """Note the vertices of contacts that nothing could be done about."""
-        node = contacts.node[contacts.weight != 0.0]
-        self.overrun = max(self.overrun, len(set(node.tolist())))
 
     @contextmanager
     def spent(self, effect: str) -> Iterator[None]:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.effects import feels_cloth
-from sim.mesh import Mesh, bare_edges, distinct_edges
+from sim.mesh import Mesh, distinct_edges, elements
 from sim.scene import SceneError
 from sim.settings import Settings
 
@@ -104,8 +104,7 @@ def surfaces_of(mesh: Mesh, settings: Settings, obstacles: np.ndarray) -> Surfac
 
 def all_surfaces(mesh: Mesh, obstacles: np.ndarray) -> Surfaces:
     """The same of all that can cross, felt or not; edges without triangles are triangles without area."""
-    cloth = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
-    return _surfaces(mesh, cloth, obstacles, True, True)
+    return _surfaces(mesh, elements(mesh), obstacles, True, True)
 
 
 def _surfaces(mesh: Mesh, cloth: np.ndarray, obstacles: np.ndarray, within: bool, between: bool) -> Surfaces:

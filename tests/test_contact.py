@@ -9,7 +9,7 @@ import sim
 from sim.compiled import Vec3
 from sim.contact.detect import detect
 from sim.contact.obstacles import Obstacles, shape_of, signed_distance
-from sim.stress.contact import drift_on_incline, sliding_error, stopping_error
+from sim.stress.contact import MU, SPEED, drift_on_incline, sliding_error, stopping_distance, stopping_error
 from sim.stress.probe import Probe
 from tests.worlds import ball, chain, grid, scene
 
@@ -207,19 +207,32 @@ def test_a_fast_sphere_passes_no_vertex_of_a_pinned_cloth(speed):
 
 
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
-def test_cloth_rests_inside_the_friction_cone(contact):
-    assert drift_on_incline(Probe(0), contact) < 1e-4  # of a metre in one second
+@pytest.mark.parametrize("floor", ["plane", "mesh"])
+def test_cloth_rests_inside_the_friction_cone(floor, contact):
+    assert drift_on_incline(Probe(0), contact, floor) < 1e-4  # of a metre in one second
 
 
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
+@pytest.mark.parametrize("floor", ["plane", "mesh"])
 @pytest.mark.parametrize("ratio", [1.05, 1.5, 3.0])
-def test_cloth_slides_outside_the_friction_cone_as_coulomb_says(contact, ratio):
-    assert sliding_error(Probe(0), ratio, contact) < 1e-3
+def test_cloth_slides_outside_the_friction_cone_as_coulomb_says(floor, contact, ratio):
+    assert sliding_error(Probe(0), ratio, contact, floor) < 1e-3
 
 
 @pytest.mark.parametrize("contact", ["penalty", "impulse"])
-def test_sliding_cloth_stops_after_the_distance_that_friction_allows(contact):
-    assert stopping_error(Probe(0), contact) < 5e-3
+@pytest.mark.parametrize("floor", ["plane", "mesh"])
+def test_sliding_cloth_stops_after_the_distance_that_friction_allows(floor, contact):
+    assert stopping_error(Probe(0), contact, floor) < 5e-3
+
+
+@pytest.mark.parametrize("floor", ["plane", "mesh"])
+def test_the_distance_that_cloth_slides_is_of_first_order_in_the_step(floor):
+    """Short of v²/2μg by 5 % at 1/60 s, and by half of that at half the step, as backward Euler is."""
+    exact = SPEED**2 / (2 * MU * G)
+    whole, half = (stopping_distance(Probe(0), "impulse", floor, h) for h in (1 / 60, 1 / 120))
+    order = np.log2((exact - whole) / (exact - half))
+    assert order == pytest.approx(1.0, abs=0.1)
+    assert 2.0 * half - whole == pytest.approx(exact, rel=2e-3)  # as h goes to zero
 
 
 def test_a_vertex_that_lands_loses_its_normal_speed_and_no_more():

@@ -123,8 +123,11 @@ def test_edges_of_three_triangles_do_not_bend_and_are_reported():
 @pytest.mark.parametrize(
     ("cloth", "words"),
     [
-        ({"vertices": [[0, 0]]}, "cloth[0].vertices: expected an array of shape (n, 3), got (1, 2)"),
-        ({"vertices": [[0, 0, float("inf")]]}, "cloth[0].vertices[0]: expected finite numbers"),
+        ({"vertices": [[0, 0]]}, "cloth[0].vertices[0]: expected 3 finite numbers, got [0, 0]"),
+        (
+            {"vertices": [[0, 0, float("inf")]]},
+            "cloth[0].vertices[0]: expected 3 finite numbers, got [0, 0, inf]",
+        ),
         (
             {"vertices": [[0, 0, 0]] * 3, "triangles": [[0, 1, 3]]},
             "cloth[0].triangles[0]: expected vertex indices from 0 to 2",
@@ -137,7 +140,7 @@ def test_edges_of_three_triangles_do_not_bend_and_are_reported():
         ({"vertices": [[0, 0, 0]], "masses": [0.0]}, "cloth[0].masses[0]: expected > 0 kg, got 0"),
         ({"vertices": [[0, 0, 0]], "masses": [1.0, 2.0]}, "cloth[0].masses: expected 1 masses, got 2"),
         ({"vertices": []}, "cloth[0].vertices"),
-        ({"vertices": [[0, 0, 0], [0, 0]]}, "cloth[0].vertices: expected numbers"),
+        ({"vertices": [[0, 0, 0], [0, 0]]}, "cloth[0].vertices[1]: expected 3 finite numbers, got [0, 0]"),
         ({"vertices": [[0, 0, 2e4]]}, "within ±1e4 m"),
         (grid(pins=[64]), "cloth[0].pins[0]: expected a vertex index from 0 to 63, got 64"),
         (grid(pins=["middle"]), "cloth[0].pins[0]: expected one of corner00"),

@@ -45,7 +45,13 @@ WITHIN, BETWEEN = 1, 2
 
 
 class CandidateError(MemoryError):
-    """More pairs within reach than a list may hold."""
+    """More pairs within reach than may be looked at in one step."""
+
+    def __init__(self, count: int, most: int) -> None:
+        super().__init__(
+            f"too much of the cloth comes near itself or mesh obstacles in one step ({count:,} pairs, and at "
+            f"most {most:,} are looked at); a shorter dt, less thickness or a coarser mesh make them fewer"
+        )
 
 
 class Candidates(NamedTuple):
@@ -164,9 +170,7 @@ class BroadPhase:
             if most <= self._room:
                 break
             if total > self.most or most > self.most // LOPSIDED:
-                raise CandidateError(
-                    f"{total:,} pairs or more may touch, and at most {self.most:,} are looked at"
-                )
+                raise CandidateError(total, self.most)
             self._room = most + most // 4
         found = np.concatenate([pairs[chunk, :count] for chunk, count in enumerate(counts)])
         apart = np.concatenate([distance[chunk, :count] for chunk, count in enumerate(counts)])

@@ -124,6 +124,9 @@ def make_contacts(c: int) -> Contacts:
 NO_CONTACTS = make_contacts(0)
 
 
+NOT_OVER, NOBODY = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+
 class Touch(NamedTuple):
     """What contacts remember of the step before, by their keys in ascending order.
 
@@ -132,12 +135,16 @@ class Touch(NamedTuple):
         pressed: (t,) normal impulse [N s].
         slip: (t,) speed at which the two sides passed each other after it [m/s].
         lasted: () how long it was [s].
+        over: (k, 2) int64 vertices, and obstacles that have run over them (`sim.contact.overrun`).
+        watched: (m,) int64 mesh obstacles that all other cloth was kept apart from.
     """
 
     key: np.ndarray
     pressed: np.ndarray
     slip: np.ndarray
     lasted: np.ndarray
+    over: np.ndarray = NOT_OVER
+    watched: np.ndarray = NOBODY
 
     def ahead(self, keys: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """(c,) force [N] that the contacts with these `keys` may go on with for `h` [s], and (c,) their slip.
@@ -153,16 +160,16 @@ class Touch(NamedTuple):
         if not len(others.key):
             return self
         if not len(self.key):
-            return others
+            return others._replace(over=self.over, watched=self.watched)
         pressed = others.pressed * (self.lasted / others.lasted)  # by the same force
         both = zip(self[:3], (others.key, pressed, others.slip), strict=True)
         key, pressed, slip = (np.concatenate(pair) for pair in both)
         order = np.argsort(key)
-        return Touch(key[order], pressed[order], slip[order], self.lasted)
+        return self._replace(key=key[order], pressed=pressed[order], slip=slip[order])
 
     def only(self, which: np.ndarray) -> Touch:
         """Those (t,) bool of them."""
-        return Touch(self.key[which], self.pressed[which], self.slip[which], self.lasted)
+        return self._replace(key=self.key[which], pressed=self.pressed[which], slip=self.slip[which])
 
     def still(self) -> Touch:
         """The same, with no slip."""

@@ -23,7 +23,7 @@ from sim.contact.contacts import NO_CONTACTS, Contacts, make_contacts
 from sim.contact.detect import SAME_SIDE, into_frame, turn
 from sim.contact.hold import go_at_most
 from sim.contact.obstacles import PLANE, ROUNDED, Obstacles, Poses, Shapes, shape_of
-from sim.mesh import Mesh, bare_edges
+from sim.mesh import Mesh, elements
 
 CUT = 0.5
 """Part of the thickness that a chord between vertices may cut away."""
@@ -54,7 +54,7 @@ NEARER = 0.5
 
 
 class Faces:
-    """Contacts of the triangles of a mesh, and of its edges that no triangle has, with obstacles.
+    """Contacts of the elements of a mesh (`sim.mesh.elements`) with obstacles.
 
     A step, or a part of one, begins with `begin`; then `hits` and `shorten` are about where it ends.
 
@@ -69,7 +69,7 @@ class Faces:
     """
 
     def __init__(self, mesh: Mesh, free: np.ndarray, obstacles: Obstacles, first_key: int) -> None:
-        faces = np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]]])
+        faces = elements(mesh)
         movable = free[faces].any(axis=1)
         self._free, self._movable = free, int(np.count_nonzero(movable))
         order = np.argsort(~movable, kind="stable")[: None if obstacles.moves.any() else self._movable]
@@ -229,9 +229,11 @@ def _sweep(shapes, before, after, faces, start, end, h, gap, keep, continuous, n
                 found.thickness[count] = min(keep, apart) if continuous else keep
                 for c in range(4):
                     found.node[count, c] = faces[f, min(c, 2)]
-                if j == k:  # an edge
+                if j == k:  # an edge, or a vertex
                     found.weight[count, 1] += found.weight[count, 2]
                     found.weight[count, 2] = 0.0
+                if i == j:
+                    found.weight[count, 0], found.weight[count, 1] = 1.0, 0.0
             count += 1
     return count
 
@@ -312,6 +314,22 @@ def _plane(shape, a, b, c):
     length = norm(r)
     n = scale(1.0 / max(length, 1e-300), r)
     return w, add(core, scale(shape.radius, n)), n, length - shape.radius
+
+
+@kernel
+def overlapping(shapes, o, poses, faces, positions, overlaps):
+    """Fill `overlaps` (f,) with whether no direction sets apart elements `faces` (f, 3) and obstacle o."""
+    shape = shape_of(shapes, o)
+    for f in range(len(faces)):
+        a, b, c = (
+            into_frame(poses.position[o], poses.rotation[o], row(positions, faces[f, 0])),
+            into_frame(poses.position[o], poses.rotation[o], row(positions, faces[f, 1])),
+            into_frame(poses.position[o], poses.rotation[o], row(positions, faces[f, 2])),
+        )
+        if shape.kind == PLANE:
+            overlaps[f] = not min(a.z, b.z, c.z) > 0.0
+        else:
+            overlaps[f] = not _beyond(shape, _plane(shape, a, b, c)[2], a, b, c) > 0.0
 
 
 @inner

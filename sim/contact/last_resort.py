@@ -124,6 +124,12 @@ class LastResort:
             over, lost = self.met(x)
         return Held(held, over, lost)
 
+    def run_over(self, contacts: Contacts) -> np.ndarray:
+        """(k, 2) the vertices of `contacts`, and the obstacles that each of them is with."""
+        c, a = np.nonzero(contacts.weight != 0.0)
+        over = np.stack([contacts.node[c, a], self._obstacle(contacts)[c]], axis=1).astype(np.int64)
+        return over[over[:, 1] != NOBODY]
+
     def _obstacle(self, contacts: Contacts) -> np.ndarray:
         """(c,) the obstacle that each of the contacts is with, NOBODY where that is cloth."""
         obstacle = self.faces.obstacle(contacts)

@@ -110,6 +110,7 @@ class Obstacles:
         labels: What each one is called.
         shapes: Of all of them.
         solid: The surfaces of those that are meshes, in their own frames.
+        shells: Of those that are meshes, None for others.
         moves: (o,) bool, which of them have a path.
     """
 
@@ -119,7 +120,7 @@ class Obstacles:
         self.shapes = Shapes(
             np.array(kinds, dtype=np.int64), np.array(halves, dtype=float).reshape(-1, 3), np.array(radii)
         )
-        self.solid = _joined(shells)
+        self.shells, self.solid = tuple(shells), _joined(shells)
         self.moves = np.array([bool(part.path) for part in self.parts], dtype=bool)
         self._felt: tuple[tuple[str, str], Felt] | None = None
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.contact.broad import BETWEEN, WITHIN, BroadPhase, CandidateError, Candidates, strayed
-from sim.contact.contacts import NO_CONTACTS, Contacts, along
+from sim.contact.contacts import NO_CONTACTS, NOT_OVER, Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
@@ -130,7 +130,7 @@ class Pairs:
         )
         self._parts = PARTS + int(solid.part.max(initial=-1)) + 1
         self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
-        ends = mesh.rest_vertices[mesh.edges]
+        ends = mesh.rest_vertices[mesh.edges] if len(mesh.edges) else solid.vertices[solid.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
         self.asked, self.listing = 0, 0.0
         self.forget()
@@ -147,7 +147,13 @@ class Pairs:
         self._least = np.full((self._parts, 2), np.inf)
 
     def begin(
-        self, x: np.ndarray, before: np.ndarray, after: np.ndarray, h: float, thickness: float
+        self,
+        x: np.ndarray,
+        before: np.ndarray,
+        after: np.ndarray,
+        h: float,
+        thickness: float,
+        over: np.ndarray = NOT_OVER,
     ) -> Contacts:
         """Begin a step of h [s] and find the pairs that are hardly farther than the thickness.
 
@@ -157,7 +163,9 @@ class Pairs:
             after: (k, 3) where they will be [m].
             h: [s].
             thickness: That is asked for [m]; cloth is no thicker than a part of a typical edge.
+            over: (k, 2) vertices, and obstacles that have run over them: their pairs are let go of.
         """
+        self._over = over @ [self._parts, 1]
         self._start, self._after, self._h = np.concatenate([x, before]), after, h
         self.thickness = min(thickness, THICK * self.edge)
         self._reach = FELT * self.thickness
@@ -172,6 +180,7 @@ class Pairs:
         distance = self._distance
         close = np.flatnonzero((distance < self._reach) & (distance > 0.0))
         close = close[self._free[pairs.node[close]].any(axis=1)]
+        close = close[~self._let_go(pairs.node[close])]
         close = close[~self._as_at_rest(pairs, close)]
         close = close[~self._beside(pairs.node[close], pairs.kind[close], distance[close], weight[close])]
         self._count(pairs, close)
@@ -197,6 +206,7 @@ class Pairs:
         time, normal, weight = np.empty(p), np.empty((p, 3)), np.empty((p, 4))
         meet(pairs.kind, pairs.node, self._distance, *way, gap, time, normal, weight)
         met = np.flatnonzero(time <= 1.0)
+        met = met[~self._let_go(pairs.node[met])]
         self._count(pairs, met)
         keep = np.minimum(AFTER * gap, self._distance[met])
         return self._contacts(pairs, met, weight[met], normal[met], keep)
@@ -221,8 +231,8 @@ class Pairs:
         pairs = self._listed(end)
         self._note(np.inf)
         self._look(pairs)
-        least = np.full(len(self._start), np.inf)
-        np.minimum.at(least, pairs.node.ravel(), np.repeat(self._distance, 4))
+        least, node = np.full(len(self._start), np.inf), pairs.node
+        np.minimum.at(least, node.ravel(), np.repeat(np.where(self._let_go(node), np.inf, self._distance), 4))
         return go_at_most(rest, end, which, NEARER * least[which])
 
     def _listed(self, end: np.ndarray) -> Candidates:
@@ -255,10 +265,9 @@ class Pairs:
         if len(self._distance) != len(pairs.kind):
             self._measure(pairs)
         self.asked += len(pairs.kind)
-        if self.asked > max(MOST_ASKED, MOST_LISTS * self._broad.most):
-            raise CandidateError(
-                f"{self.asked:,} times a pair was asked whether it meets, too often for one step"
-            )
+        most = max(MOST_ASKED, MOST_LISTS * self._broad.most)
+        if self.asked > most:
+            raise CandidateError(self.asked, most)
 
     def _renew(self, end: np.ndarray) -> Candidates:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""
@@ -291,6 +300,13 @@ class Pairs:
         self._apart = float(self._distance.min(initial=np.inf)) * (1.0 - MARGIN)
         self.looks += 1
         return weight
+
+    def _let_go(self, node: np.ndarray) -> np.ndarray:
+        """(p,) whether pairs of the vertices `node` (p, 4) are of one that their obstacle has run over."""
+        if not len(self._over):
+            return np.zeros(len(node), dtype=bool)
+        obstacle = (-1 - self._piece[node]).max(axis=1)
+        return (obstacle >= 0) & np.isin(node * self._parts + obstacle[:, None], self._over).any(axis=1)
 
     def _as_at_rest(self, pairs: Candidates, close: np.ndarray) -> np.ndarray:
         """Which of these pairs are of one piece and as near at rest: within the thickness, or the reach."""

@@ -10,14 +10,14 @@ no farther than they can without meeting anything.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from time import perf_counter
 
 import numpy as np
 from msgspec.structs import replace as replaced
 
-from sim.contact.contacts import NO_CONTACTS, UNTOUCHED, Contacts, Touch, touch
+from sim.contact.contacts import NO_CONTACTS, NOBODY, NOT_OVER, UNTOUCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.eruption import erupts
 from sim.contact.faces import Faces
@@ -26,6 +26,7 @@ from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
 from sim.contact.impact import EDGE_EDGE
 from sim.contact.last_resort import LastResort
 from sim.contact.obstacles import MESH, Obstacles, Poses, Shapes
+from sim.contact.overrun import found_over, joined, still_over
 from sim.contact.pairs import Feels, Pairs
 from sim.contact.pinch import fit
 from sim.contact.reach import box, within_reach
@@ -84,6 +85,8 @@ class _Way:
     erupted: str = ""
     springs: GapSprings = NO_GAP_SPRINGS  # that the last solve of it felt
     guess: np.ndarray | None = None  # and the velocities that it ended with
+    over: np.ndarray = field(default_factory=lambda: NOT_OVER)
+    watched: np.ndarray = field(default_factory=lambda: NOBODY)
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -137,7 +140,8 @@ class Pipeline:
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
             pairs.reached[:], pairs.felt[:] = False, 0
-        end = self._part(settings, response, pairs, time, x, v, self.touched, solve, report, MOST_HALVINGS)
+        touched = self._not_apart(settings, response, time, x)
+        end = self._part(settings, response, pairs, time, x, v, touched, solve, report, MOST_HALVINGS)
         if pairs is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
             report.felt = self._by_effect(pairs.felt)
@@ -146,7 +150,20 @@ class Pipeline:
         if self._resting:
             resting = self.touched.only(np.isin(self.touched.key, np.concatenate(self._resting)))
             touched = touched.and_also(resting.still())
+        report.overrun = len(np.unique(touched.over[:, 0]))
         return solution, touched
+
+    def _not_apart(self, settings: Settings, response: Response | None, time: float, x: np.ndarray) -> Touch:
+        """What the last step left to remember, with what of the cloth obstacles are over now."""
+        touched, shapes = self.touched, self.obstacles.shapes
+        about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
+        over = still_over(touched.over, *about) if len(touched.over) else NOT_OVER
+        if response is None or not response.impulses or settings.detection == "static":
+            return touched._replace(over=over, watched=NOBODY)
+        watched = np.flatnonzero(self.obstacles.felt(settings).which & (shapes.kind == MESH))
+        for o in watched[~np.isin(watched, touched.watched)].tolist():
+            over = joined(over, found_over(o, *about))
+        return touched._replace(over=over, watched=watched)
 
     def _acting(self, contacts: Contacts, way: _Way) -> Contacts:
         """Those that can move something within the scene's plane; what parts they join is noted.
@@ -253,6 +270,7 @@ class Pipeline:
         the way that they took, and the step solved again where that led into some.
         """
         s, report, h = way.settings, way.report, way.settings.dt
+        way.over, way.watched = touched.over, touched.watched
         if response is not None and response.projects:
             return self._projected(way, pairs)
         fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
@@ -347,7 +365,7 @@ class Pipeline:
         if pairs is not None:
             begin = perf_counter()
             before, after = (self.obstacles.corners(p, pairs.solid) for p in (way.before, way.after))
-            near = pairs.begin(way.x, before, after, s.dt, s.thickness)
+            near = pairs.begin(way.x, before, after, s.dt, s.thickness, way.over)
             self._share(report, pairs, 1e3 * (perf_counter() - begin))
         about = way.x, way.before, way.after, s.dt, s.thickness
         if not self.obstacles.felt(s).which.any():
@@ -467,7 +485,8 @@ class Pipeline:
         watched = response.impulses and response.solved and not last
         if watched:
             way.erupted = erupts(self._model, s, met, pressed, way.x, way.v, solution, end)
-        return None if way.erupted else (end, touch(met.key, pressed, felt.of(met.key)[1], h))
+        pressing = touch(met.key, pressed, felt.of(met.key)[1], h)
+        return None if way.erupted else (end, pressing._replace(over=way.over, watched=way.watched))
 
     def _push(
         self,
@@ -541,7 +560,7 @@ class Pipeline:
                     ~np.isin(beyond.key, contacts.key) & (lacks(response, beyond, x, h) > s.tolerance)
                 )
             if not len(hits.key) and not len(beyond.key):
-                report.run_over(lost)
+                way.over = joined(way.over, resort.run_over(lost))
                 return contacts, given
             report.hits += len(hits.key)
             known = len(contacts.key)
@@ -559,7 +578,7 @@ class Pipeline:
             held, over, lost = resort.hold_back(way.x, x)
         if len(over.key) and not way.deepest:
             return None
-        report.run_over(over.and_also(lost))
+        way.over = joined(way.over, resort.run_over(over.and_also(lost)))
         report.overruns += bool(len(over.key))
         report.held_back += int(np.count_nonzero(held))
         report.failsafes += bool(held.any())

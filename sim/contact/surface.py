@@ -1,9 +1,9 @@
 """The surface that can touch itself: features, who owns them, which are neighbours, and a tree over them.
 
-The elements of a surface are its triangles, then the edges that no triangle has. Each vertex and each edge
-belongs to one element, so that a pair of elements stands for a few pairs of features and no pair of features
-is met twice. Elements that share a vertex are neighbours; theirs are the pairs that every broad phase would
-find again, so they are worked out here, once.
+The elements of a surface are its triangles, then the edges that no triangle has, then the vertices that no
+edge has. Each vertex and each edge belongs to one element, so that a pair of elements stands for a few pairs
+of features and no pair of features is met twice. Elements that share a vertex are neighbours; theirs are the
+pairs that every broad phase would find again, so they are worked out here, once.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class Surface(NamedTuple):
     """f elements and e edges on the vertices of cloth and of mesh obstacles.
 
     Attributes:
-        faces: (f, 3) int32 vertices of each element, in the tree's order; an edge repeats its second.
+        faces: (f, 3) int32 vertices of each element, in the tree's order; an edge repeats its second, and a
+            vertex itself.
         solid: (f,) bool, whether it is a triangle.
         edges: (e, 2) int32.
         own_vertex: (f, 3) bool, which of its corners an element owns.
@@ -96,7 +97,8 @@ def inside_flats(
 def build_surface(positions: np.ndarray, triangles: np.ndarray, edges: np.ndarray) -> tuple[Surface, Tree]:
     """The surface of `triangles` (m, 3) and `edges` (e, 2), and a tree for `positions` (n, 3) [m]."""
     bare = edges[~np.isin(_keys(edges, len(positions)), _keys(_sides(triangles), len(positions)))]
-    faces = np.concatenate([triangles, bare[:, [0, 1, 1]]]).astype(np.int32)
+    alone = np.setdiff1d(np.arange(len(positions)), edges)[:, None]
+    faces = np.concatenate([triangles, bare[:, [0, 1, 1]], alone[:, [0, 0, 0]]]).astype(np.int32)
     order, tree = _tree(positions[faces].mean(axis=1))
     faces, solid = faces[order], order < len(triangles)
     n, f = len(positions), len(faces)
@@ -107,6 +109,7 @@ def build_surface(positions: np.ndarray, triangles: np.ndarray, edges: np.ndarra
     vertex_owner[vertices] = first // 3
     sides = _keys(_sides(faces), n).reshape(3, f).T.copy()
     sides[~solid, 1:] = -1
+    sides[faces[:, 0] == faces[:, 1]] = -1
     keys = _keys(edges, n)
     by_key = np.argsort(keys, kind="stable")
     found, first = np.unique(sides, return_index=True)

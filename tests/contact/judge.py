@@ -1,10 +1,19 @@
 """What judges contact from outside: distances the obvious way, and the battery's judge on every step."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
-from sim.stress.judge import EDGE_EDGE, VERTEX_TRIANGLE, Judge
+import sim
+from sim.contact.obstacles import MESH, PLANE
+from sim.mesh import distinct_edges, elements
+from sim.scene import Box
+from sim.stress.judge import EDGE_EDGE, FACES, VERTEX_TRIANGLE, Judge
 
-__all__ = ["EDGE_EDGE", "VERTEX_TRIANGLE", "Judge", "distances", "run_cleanly"]
+__all__ = ["EDGE_EDGE", "VERTEX_TRIANGLE", "Judge", "distances", "offending", "passing", "run_cleanly"]
+
+NONE = np.zeros((0, 2), dtype=np.int64)
+CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 def run_cleanly(world, steps):
@@ -21,6 +30,70 @@ def run_cleanly(world, steps):
             met = judge.meetings(before, x)
             assert not met, f"step {k} went through {met[0]}"
     return reports
+
+
+def offending(world):
+    """Elements of cloth that are not outside of an obstacle, or cross cloth.
+
+    Of each its vertices (k,), if it crosses cloth those of both; and whether it does.
+    """
+    x, faces, obstacles, found = world.positions, elements(world.mesh), world.contact.obstacles, []
+    poses = obstacles.poses(world.time)
+    y, every = np.concatenate([x, obstacles.corners(poses)]), obstacles.solid.triangles + len(x)
+    for o, part in enumerate(world.scene.obstacle):
+        local = (x - poses.position[o]) @ poses.rotation[o]
+        kind, half = obstacles.shapes.kind[o], obstacles.shapes.half[o]
+        if kind == PLANE:
+            inside = faces[(local[faces][:, :, 2] < 0.0).any(axis=1)]
+        elif isinstance(part, Box):
+            y = np.concatenate([y, CORNERS * part.size @ poses.rotation[o].T + poses.position[o]])
+            every = np.concatenate([every, FACES + len(y) - 8])
+            inside = faces[(np.abs(local) < half).all(axis=1)[faces].any(axis=1)]
+        elif kind == MESH:
+            shell = world.mesh.shells[o]
+            enclosed = np.array([not shell.open_edges and shell.encloses(place) for place in local])
+            inside = faces[enclosed[faces].any(axis=1)]
+        else:
+            inside = faces[_to_axis(local[faces], half[2]) <= part.radius]
+        found += [(nodes, False) for nodes in inside]
+    every = np.concatenate([faces, every]).astype(np.int64)
+    crossing, sides = sim.intersections(y, every), distinct_edges(every, NONE, len(y))
+    for e, f in crossing:
+        found.append(_ours(np.concatenate([sides[e], every[f]]), len(x)))
+    return [(nodes, cloth) for nodes, cloth in found if len(nodes)]
+
+
+def passing(world, x, time):
+    """The same of pairs that passed through each other since cloth was at x (n, 3) and it was `time`."""
+    obstacles, n = world.contact.obstacles, len(x)
+    solid = obstacles.solid
+    before, after = (
+        np.concatenate([each, obstacles.corners(obstacles.poses(t))])
+        for each, t in ((x, time), (world.positions, world.time))
+    )
+    both = SimpleNamespace(
+        edges=np.concatenate([world.edges, solid.edges + n]),
+        triangles=np.concatenate([world.triangles, solid.triangles + n]),
+        mesh=SimpleNamespace(vertices=before),
+    )
+    met = (_ours(np.array(nodes), n) for _, nodes in Judge(both).each_meeting(before, after))
+    return [(nodes, cloth) for nodes, cloth in met if len(nodes)]
+
+
+def _ours(nodes, n):
+    """Those of the cloth's n vertices, and whether that is all of them."""
+    return nodes[nodes < n], bool((nodes < n).all())
+
+
+def _to_axis(triangles, half):
+    """(m,) distances of triangles (m, 3, 3) from the line from −half to half on the z axis."""
+    ends = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
+    points = [np.concatenate([end[None], t]) for end in ends for t in triangles]
+    lines = [np.concatenate([ends, t[side]]) for t in triangles for side in ([0, 1], [1, 2], [2, 0])]
+    return np.minimum(
+        distances(VERTEX_TRIANGLE, points).reshape(2, -1).min(axis=0),
+        distances(EDGE_EDGE, lines).reshape(-1, 3).min(axis=1),
+    )
 
 
 def distances(kind, x):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import sim
 from sim.compiled import CHUNKS
 from sim.contact import broad
 from sim.contact.broad import BroadPhase, CandidateError
@@ -286,6 +287,17 @@ def test_more_pairs_than_a_list_may_hold_are_refused(monkeypatch):
     monkeypatch.setattr(broad, "MOST_CANDIDATES", 1000)
     with pytest.raises(CandidateError, match="at most 1,000"):
         case.phase.candidates(case.start, case.end, 10.0, 1.0)
+
+
+def test_a_step_with_too_many_pairs_is_refused_in_words_that_say_what_helps(monkeypatch):
+    monkeypatch.setattr(broad, "MOST_CANDIDATES", 1000)
+    cloth = {"kind": "grid", "size": [0.1, 0.1], "resolution": [20, 20]}
+    ball = {"kind": "sphere", "center": [0, 0, -0.2], "radius": 0.1}
+    scene = {"cloth": cloth, "obstacle": [ball], "settings": {"dt": 0.1, "self_collision": "on"}}
+    world = sim.Simulation(scene)
+    world.place(world.positions, np.random.default_rng(0).standard_normal(world.positions.shape))
+    with pytest.raises(sim.StepError, match=r"at most 1,000 .*dt, less thickness or a coarser mesh"):
+        world.step()
 
 
 def test_room_grows_where_it_is_too_small():
