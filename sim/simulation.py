@@ -18,6 +18,7 @@ from sim.contact.broad import CandidateError
 from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
+from sim.crossings import Crossings
 from sim.effects import Told, check_obstacles, chosen, effects_with, state
 from sim.integrators import INTEGRATORS, State
 from sim.ledger import Books, Ledger, Tally
@@ -93,6 +94,7 @@ class Simulation:
         self._limit: float | None = None
         self._books: Books | None = None
         self._edges: Limit | None = None
+        self._crossings = Crossings(self.mesh, self.contact.obstacles)
         self._told = Told()
         self._rest = Rest(self.mesh.parts, float(np.ptp(self.mesh.rest_vertices, axis=0).max()))
         self._last = StepReport()
@@ -199,7 +201,7 @@ class Simulation:
 
         What is not felt counts, too. Layers that have passed through each other completely leave none.
         """
-        return self.contact.crossings(self._time, self._positions)
+        return self._crossings.count(self._time, self._positions)
 
     def stability_limit(self) -> float:
         """The longest step [s] for which symplectic Euler is stable about the present state."""

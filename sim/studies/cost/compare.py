@@ -16,6 +16,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from sim.bench.hardware import hardware, versions
+from sim.crossings import Crossings
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
 from sim.simulation import Simulation
@@ -227,6 +228,7 @@ class _Comparison:
         total = trace.energy
         rise = float((total - np.minimum.accumulate(total)).max())
         known = error is not None and look is not None
+        crossings = Crossings(self.world.mesh, self.world.contact.obstacles)
         return Variant(
             name=name,
             settings=settings,
@@ -243,7 +245,7 @@ class _Comparison:
             energy_rise=rise,
             penetrations=int(trace.contact["penetrations"].max()),
             deepest=float(trace.contact["deepest"].max()),
-            crossings=max(map(self.world.contact.crossings, trace.times, trace.positions)),
+            crossings=max(map(crossings.count, trace.times, trace.positions)),
             stretch=float(trace.strain.max()),
             observables={kind: float(values[-1]) for kind, values in trace.observables.items()},
             stopped=trace.stopped,
