@@ -103,6 +103,13 @@ EFFECTS: dict[str, Effect] = {
 OBSTACLE = "obstacle "
 """What the name of a single obstacle's effect begins with; what it is called follows."""
 
+TOLD_BESIDES = {
+    "contact": "answers what meets, by the collision method",
+    "integrator": "makes the step from forces",
+    "sleep": "leaves out cloth that is at rest",
+}
+"""What a step also says a word of, though it is none of the effects: what it does."""
+
 COLLISIONS = ("self_collision", "cloth_collision")
 """Effects whose pairs are of cloth and cloth."""
 
@@ -151,6 +158,11 @@ def find_effect(name: str) -> Effect:
     if name not in EFFECTS:
         raise ValueError(_no_effect(name, EFFECTS))
     return EFFECTS[name]
+
+
+def does(name: str) -> str:
+    """What an effect does to cloth, or what else a step says a word of; ValueError as `find_effect`."""
+    return TOLD_BESIDES[name] if name in TOLD_BESIDES else find_effect(name).changes
 
 
 def _no_effect(name: str, known: Iterable[str]) -> str:
