@@ -10,7 +10,15 @@ import numpy as np
 
 from server import style
 from server.digits import written
-from server.labels import ON_PURPOSE, effects, error_text, is_unstable, what_is_wrong
+from server.labels import (
+    ON_PURPOSE,
+    effects,
+    error_hint,
+    error_text,
+    is_old,
+    is_unstable,
+    what_is_wrong,
+)
 from server.meter import Meter
 from server.palette import VARIANTS
 from sim.accounts import DISSIPATED, INJECTED, meaning
@@ -58,7 +66,7 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
         cells = [
             number(meter.ms["total"] if meter.ms else None),
             style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
-            f"{error_text(meter.reading)} {meter.reading.trend}".rstrip(),
+            error_cell(meter),
             trouble_text(meter.inside),
             trouble_text(meter.crossings),
         ]
@@ -72,6 +80,13 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
     columns = {escape(setting): "", **COLUMNS}
     head = "".join(f'<th title="{hint}">{column}</th>' for column, hint in columns.items())
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def error_cell(meter: Meter) -> str:
+    """A local error with its trend, dim where it is old; pointed at, it says how it is known."""
+    words = f"{error_text(meter.reading)} {meter.reading.trend}".rstrip()
+    look = ' class="dim"' * is_old(meter)
+    return f'<span{look} title="{escape(error_hint(meter.reading))}">{escape(words)}</span>'
 
 
 def trouble_text(count: int | None) -> str:
@@ -234,4 +249,6 @@ def effect_row(name: str, word: str, cost: float | None = None, total: float = 0
         hint = f"{part:.0f} % of the step, without what it adds to the work of the solver"
         bar = f'<div style="{looks}" title="{hint}"></div> {cost:.2f} ms'
     title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
-    return f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'
+    return (
+        f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'
+    )

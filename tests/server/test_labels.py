@@ -154,7 +154,7 @@ def test_every_energy_entry_and_effect_of_a_real_step_has_its_own_words(bend):
     full = meter(report=report, energy=world.energy(), ledger=everything, momentum=world.momentum())
     rows = re.findall(r'title="(.+?)"><td class="dim">(.+?)</td>', sums_table(["one"], [full]))
     assert len({words for words, _ in rows}) == len(rows) == len(world.energy()) + 17
-    stored = dict((title, words) for words, title in rows)
+    stored = {title: words for words, title in rows}
     assert stored[bend].startswith(f"Stored in {bend} springs: ")
     hints = re.findall(r'<tr class="\w*" title="(.*?)"><td>', effects_table(["one"], [full]))
     assert len(set(hints)) == len(hints) == len(report.effects)
