@@ -78,7 +78,7 @@ NO_READING, MEASURING = Reading(), Reading(measuring=True)
 class _Due(NamedTuple):
     """A measurement of a variant: a quick one, or to a tenth; regular, or asked for by a change."""
 
-    index: int
+    variant: int
     quick: bool = False
     regular: bool = False
 
@@ -138,9 +138,9 @@ class Prober:
             return
         if (due := self._next(bench)) is not None:
             if due.regular:
-                self._turn = due.index + 1
+                self._turn = due.variant + 1
             take = partial(self._take, due)
-            self.ask(bench, due.index, partial(_measure, quick=due.quick), take, due.regular)
+            self.ask(bench, due.variant, partial(_measure, quick=due.quick), take, due.regular)
 
     def ask(
         self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], regular: bool = False
@@ -183,16 +183,16 @@ class Prober:
             self._build = None
         state, found = found if isinstance(found, tuple) else (None, found)
         if state is None:
-            self.readings[due.index], self._failed = Reading(why_not=str(found)), perf_counter()
+            self.readings[due.variant], self._failed = Reading(why_not=str(found)), perf_counter()
             return
-        before, trend = self.readings[due.index], ""
+        before, trend = self.readings[due.variant], ""
         if before.found is not None and not (before.quick or due.quick):  # else it was beside another run
             ratio = found.error / max(before.found.error, 1e-300)
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
         if not due.quick:
             self._took = found.took
         better = due.quick and not found.sure
-        self.readings[due.index] = Reading(found, trend=trend, time=state.time, quick=better)
+        self.readings[due.variant] = Reading(found, trend=trend, time=state.time, quick=better)
 
     # The prober's own thread.
 
