@@ -15,6 +15,9 @@ from sim.studies import STUDIES, Cell, Result, Table
 WIDTH = 120
 """Characters of a line where no terminal says how many it has."""
 
+LONGEST = 40
+"""Characters of a row's name that are never cut."""
+
 HTML = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -128,8 +131,10 @@ def _print(result: Result, console: Console) -> None:
 def _printed(table: Table) -> Printed:
     printed = Printed()
     for place, heading in enumerate(table.columns):
-        words = any(isinstance(row[place], str) for row in table.rows)
-        printed.add_column(heading, justify="left" if words else "right")
+        words = [row[place] for row in table.rows if isinstance(row[place], str)]
+        whole = max(map(len, words), default=0) if place == 0 else 0  # a name that is cut short is none
+        justify = "left" if words else "right"
+        printed.add_column(heading, justify=justify, min_width=min(whole, LONGEST) or None)
     for row in table.rows:
         printed.add_row(*map(cell_text, row))
     return printed

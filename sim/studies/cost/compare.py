@@ -152,7 +152,7 @@ class _Comparison:
             horizon=None if look is None else look * self.every,
             growth=grown,
             variants=found,
-            notes=_notes(by, own, look, self.every),
+            notes=_notes(by, own, look, self.looks, self.every),
             hardware=computer,
             versions=versions(),
         )
@@ -259,15 +259,17 @@ def scene_with(scene: Scene, settings: Settings) -> Scene:
     return replace(scene, settings=settings)
 
 
-def _notes(by: str, own: bool, look: int | None, every: float) -> list[str]:
+def _notes(by: str, own: bool, look: int | None, looks: int, every: float) -> list[str]:
     notes = [
         "Times are medians of runs made alone, in turn; the first of each, which warms up, does not count."
     ]
     if look is not None:
+        after = (
+            "; after that the reference is not known well enough, or runs that differ by a hair drift apart"
+        )
         notes.append(
             f"Errors are the largest mass-weighted distance from the reference up to {look * every:.3g} s, "
-            "as part of the cloth's diagonal; after that the reference is not known well enough, or runs "
-            "that differ by a hair drift apart."
+            f"as part of the cloth's diagonal{after * (look < looks)}."
         )
     if own:
         notes.append(
