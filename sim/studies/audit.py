@@ -292,5 +292,5 @@ NOTES = (
     "The cost of an effect is that of a step as things are less that of one without it, so that what it adds "
     "to the solver's work counts, too; on a busy computer some per cent are noise, and may be negative.",
     "Recommended to be off is what ran and changes less than the tolerance, all of it together over the "
-    "whole run; what never ran costs next to nothing and is left to auto, for the scene may change.",
+    "whole run; what never ran is left to auto, which goes on watching for it, for the scene may change.",
 )
