@@ -73,7 +73,10 @@ def compare(
     chosen = change(scene.settings, **(overrides or {}))
     variants = [change(chosen, **{by: value}) for value in values]
     if len(set(variants)) < max(2, len(variants)):
-        raise ValueError(f"--by: expected two or more different values of {by}, got {len(variants)}")
+        got = ", ".join(value_in_words(by, value) for value in values)
+        raise ValueError(f"--by: expected two or more different values of {by}, got {got}")
+    if repeats < 1:
+        raise ValueError(f"--repeats: expected 1 or more, got {repeats}")
     every = common_multiple([s.dt for s in variants])
     looks = int(seconds / every + 1e-9)
     if looks < 1:
