@@ -37,7 +37,10 @@ def audit_result(report: AuditReport) -> Result:
         "last step",
     )
     effects = sorted(report.effects, key=lambda e: (e.now == "off", -_moves(e)))
-    about = f"numerical error {percent(report.numerical_error)}; {report.ms:.3g} ms per step as it is"
+    about = (
+        f"numerical error {percent(report.numerical_error)}; {report.ms:.3g} ms per step as it is; costs to "
+        f"± {percent(report.cost_noise)} of that"
+    )
     caption = f"Every effect left out, or brought in where it is off ({KEPT}: matters); {about}"
     table = Table(caption, columns, tuple(map(_row, effects)))
     return Result(f"What {report.scene} needs", (table,), (sentence(report), report.toml))
@@ -111,4 +114,6 @@ def audit_figures(report: AuditReport) -> Figures:
         )
         axes.set_xticks([], minor=True)
         axes.grid(False, axis="y")
-        return {"influence": ("What each effect changes, and what part of a step it costs.", figure)}
+        noise = percent(report.cost_noise)
+        caption = f"What each effect changes, and what part of a step it costs, to ± {noise}."
+        return {"influence": (caption, figure)}
