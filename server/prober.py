@@ -3,7 +3,8 @@
 The time that probes take is accounted for: the regular ones, all together, take at most SHARE of the time
 that the lanes step, of which a thread that steps aside takes no more than its own processor time. What a
 change made out of date, or a pause, is measured as soon as changes have settled: quickly first, for every
-variant, and then to a tenth. While nobody looks nothing is measured.
+variant, and then to a tenth. Regular ones are quick, as one that is late is of another cloth. While nobody
+looks nothing is measured.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ class Reading:
         why_not: Why it could not be measured; empty otherwise.
         trend: How it goes: "↗", "→", "↘", or nothing yet.
         time: Simulated time [s] of the state that it is of.
-        quick: Whether it is a first one, beside a run that is not much finer, and a better one will come.
+        quick: Whether it is beside a run that is not much finer, and so not known to a tenth.
+        better: Whether a better one is on its way.
     """
 
     found: Any = None
@@ -70,6 +72,7 @@ class Reading:
     trend: str = ""
     time: float = -1.0
     quick: bool = False
+    better: bool = False
 
 
 NO_READING, MEASURING = Reading(), Reading(measuring=True)
@@ -168,12 +171,12 @@ class Prober:
             if reading is MEASURING or moved:
                 return _Due(i, quick=True)
         for i in able:
-            if self.readings[i].quick:
+            if self.readings[i].better or (self.readings[i].quick and not bench.playing):
                 return _Due(i)
         paid = self.spent + self._took <= SHARE * self.stepped
         if not able or not bench.playing or not paid or perf_counter() < self._failed + RETRY:
             return None
-        return _Due(next((i for i in able if i >= self._turn), able[0]), regular=True)
+        return _Due(next((i for i in able if i >= self._turn), able[0]), quick=True, regular=True)
 
     def _take(self, due: _Due, found: Any) -> None:
         """Keep what was found, or why nothing was."""
@@ -185,14 +188,14 @@ class Prober:
         if state is None:
             self.readings[due.variant], self._failed = Reading(why_not=str(found)), perf_counter()
             return
-        before, trend = self.readings[due.variant], ""
-        if before.found is not None and not (before.quick or due.quick):  # else it was beside another run
+        before, trend, quick = self.readings[due.variant], "", due.quick and not found.sure
+        if before.found is not None and (before.quick == quick):  # else it was beside another run
             ratio = found.error / max(before.found.error, 1e-300)
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
-        if not due.quick:
+        if due.quick:
             self._took = found.took
-        better = due.quick and not found.sure
-        self.readings[due.variant] = Reading(found, trend=trend, time=state.time, quick=better)
+        better = quick and not due.regular
+        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick, better)
 
     # The prober's own thread.
 

@@ -78,8 +78,8 @@ def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
 
 
 HELP = (
-    "Above each cloth: milliseconds per step, and the local error of one frame, measured beside a finer run. "
-    "≈ is a first reading, ≥ and < are all that is known. Below: what is inside obstacles, and what crosses.",
+    "Above each cloth: milliseconds per step, and the local error of one frame, beside a finer run. "
+    "≈ is measured quickly, ≥ and < are all that is known. Below: what is in obstacles, and what crosses.",
     "Point at a setting, an effect or a number to be told what it is.",
 )
 """How to read the page."""

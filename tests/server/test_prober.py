@@ -96,6 +96,7 @@ def test_every_variant_has_a_quick_reading_before_any_has_a_better_one_and_both_
             [(reading.quick, reading.found and reading.found.error) for reading in rig.prober.readings]
         )
     assert rig.quick == [True, True, False, False]
+    assert [reading.better for reading in rig.prober.readings] == [False, False]
     assert seen[1] == [(True, 1e-3), (True, 1e-3)]
     assert seen[3] == [(False, 2e-3), (False, 2e-3)]
     assert all(reading.trend == "" for reading in rig.prober.readings), "they were beside another run"
@@ -103,6 +104,21 @@ def test_every_variant_has_a_quick_reading_before_any_has_a_better_one_and_both_
     rig.prober.spent, rig.prober.stepped = 1.0, 0.0
     rig.prober.tick(bench, True)
     assert not rig.prober._busy, "from now on they are regular"
+    rig.errors = [3e-3, 4e-3, 9e-3, 3e-3, 3e-3]
+    for _ in range(3):
+        rig.prober.spent = -1.0
+        rig.prober.tick(bench, True)
+        rig.answer()
+    assert rig.quick[4:] == [True, True, True], "and quick, without a better one after them"
+    assert [(reading.quick, reading.trend) for reading in rig.prober.readings] == [(True, "↗"), (True, "")]
+    bench.playing = False
+    bench.lanes[0].frame = bench.lanes[1].frame = Frame(time=0.0)
+    for _ in range(2):
+        rig.prober.tick(bench, True)
+        rig.answer()
+    rig.prober.tick(bench, True)
+    assert not rig.prober._busy
+    assert rig.quick[7:] == [False, False], "in a pause they are measured better"
 
 
 def test_a_quick_reading_that_is_known_to_a_tenth_needs_no_better_one(rig):
