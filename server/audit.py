@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from matplotlib import rc_context
+from matplotlib.ticker import FuncFormatter
 
 from server.figures import HATCHES, LOOKS, Figures, axes_for
 from server.palette import INK, STONE
@@ -14,7 +17,10 @@ KEPT = "●"
 """Marks effects that matter."""
 
 SMALLEST = 1e-9
-"""Influences below this are drawn at the edge of the plot."""
+"""Influences below this are drawn at the edge of the plot, if it reaches as far."""
+
+DECADES = 4.0
+"""That the plot reaches below the numerical error: what is smaller is of no account."""
 
 
 def audit_result(report: AuditReport) -> Result:
@@ -31,7 +37,10 @@ def audit_result(report: AuditReport) -> Result:
         "last step",
     )
     effects = sorted(report.effects, key=lambda e: (e.now == "off", -_moves(e)))
-    about = f"numerical error {percent(report.numerical_error)}; {report.ms:.3g} ms per step as it is"
+    about = (
+        f"numerical error {percent(report.numerical_error)}; {report.ms:.3g} ms per step as it is; costs to "
+        f"± {percent(report.cost_noise)} of that"
+    )
     caption = f"Every effect left out, or brought in where it is off ({KEPT}: matters); {about}"
     table = Table(caption, columns, tuple(map(_row, effects)))
     return Result(f"What {report.scene} needs", (table,), (sentence(report), report.toml))
@@ -45,10 +54,15 @@ def _row(effect: AuditedEffect) -> tuple[str | float | None, ...]:
         effect.verdict if effect.now != "off" else f"brought in: {effect.verdict}",
         None if effect.influence is None else 100.0 * effect.influence,
         effect.errors,
-        round(100.0 * effect.cost_share, 1),
+        round(100.0 * effect.cost_share, 1) + 0.0,  # no "-0"
         100.0 * effect.ran,
         effect.why,
     )
+
+
+def cost_text(share: float) -> str:
+    """A cost as part of a step in percent; a difference of times that is noise may be below zero."""
+    return f"{100.0 * share + 0.0:.1f} %".replace("-", "−")
 
 
 def _moves(effect: AuditedEffect) -> float:
@@ -63,7 +77,8 @@ def sentence(report: AuditReport) -> str:
             f"Within {percent(report.tolerance)} {report.scene} needs every effect that runs: "
             f"{report.ms:.3g} ms per step."
         )
-    names = ", ".join(name.replace("_", " ") for name in report.recommended)
+    *first, last = (name.replace("_", " ") for name in report.recommended)
+    names = f"{', '.join(first)} and {last}" if first else last
     return (
         f"Within {percent(report.tolerance)} {report.scene} does without {names}: "
         f"{report.ms:.3g} ms per step become {report.recommended_ms:.3g}, and the cloth moves by "
@@ -79,16 +94,26 @@ def audit_figures(report: AuditReport) -> Figures:
         return {}
     with rc_context(LOOKS):
         figure, axes = axes_for((12.0, 2.0 + 0.5 * len(known)))
+        error = max(report.numerical_error, SMALLEST)
+        least, most = error * 10.0**-DECADES, max(1.0, 10.0 * error)
         for i, effect in enumerate(known):
-            width = min(max(_moves(effect), SMALLEST), 1.0)
+            width = min(max(_moves(effect), least), most)
             axes.barh(i, width, color=STONE.css, edgecolor=INK.css, hatch=HATCHES[0], height=0.6)
             words = (
                 f"  {percent(effect.influence)}" if effect.influence is not None else "  cannot be left out"
             )
-            axes.text(width, i, f"{words}, for {percent(effect.cost_share)} of a step", va="center")
-        axes.axvline(max(report.numerical_error, SMALLEST), color=INK.css, linestyle="--")
+            beside = {"va": "center", "zorder": 4, "bbox": {"fc": "white", "ec": "none", "pad": 1.5}}
+            axes.text(1.15 * width, i, f"{words}, for {cost_text(effect.cost_share)} of a step", **beside)
+        axes.axvline(error, color=INK.css, linestyle="--")
         axes.set_yticks(range(len(known)), [e.name.replace("_", " ") for e in known])
         axes.set(xscale="log", xlabel="moves the cloth by, relative; dashed: the numerical error")
-        axes.set_xlim(SMALLEST, 100.0)
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{100 * x:g} %"))
+        axes.set_xlim(least, 300.0 * most)  # room for words
+        axes.set_xticks(
+            [10.0**k for k in range(math.ceil(math.log10(least)), math.floor(math.log10(most)) + 1)]
+        )
+        axes.set_xticks([], minor=True)
         axes.grid(False, axis="y")
-        return {"influence": ("What each effect changes, and what part of a step it costs.", figure)}
+        noise = percent(report.cost_noise)
+        caption = f"What each effect changes, and what part of a step it costs, to ± {noise}."
+        return {"influence": (caption, figure)}

@@ -30,6 +30,7 @@ class Bench:
         meters: One per variant.
         finished: Each variant's newest frame, as of when all had made theirs.
         playing: Whether time runs.
+        counting: Whether lanes count what crosses, as soon as they may.
     """
 
     def __init__(self, watched: Callable[[], bool], on_frame: Callable[[], None]):
@@ -38,7 +39,7 @@ class Bench:
         self.lanes: list[Lane] = []
         self.meters: list[Meter] = []
         self.finished: list[Frame] = []
-        self.playing, self._steps_asked = True, 0
+        self.playing, self.counting, self._steps_asked = True, False, 0
 
     def clear(self, count: int) -> None:
         """Have no simulations, and make ready for those of `count` variants."""
@@ -51,9 +52,17 @@ class Bench:
     def launch(self, build: Callable[[Settings], Any], comparison: Comparison) -> None:
         """Build a simulation for every variant, each in its lane."""
         variants = map(comparison.settings, range(comparison.count))
-        self.lanes = [Lane(build, settings, self._on_frame) for settings in variants]
+        self.lanes = [Lane(build, settings, self._on_frame, self.counting) for settings in variants]
         for lane in self.lanes:
             lane.start()
+
+    def count_crossings(self) -> None:
+        """Have lanes count what crosses, now that this compiles nothing."""
+        self.counting = True
+        for lane in self.lanes:
+            lane.counting = True
+            if not self.playing:
+                lane.send(Advance(0.0, counted=True))
 
     def stop(self) -> None:
         """End all lanes. A step that is being made is waited for, but not for long."""

@@ -14,17 +14,22 @@ from sim.scene import Scene
 Progress = Callable[[int, int, str], None]
 """Told how many kernels are done, of how many, and the name of the next."""
 
-Prepare = Callable[[Scene, Progress], None]
-"""Compiles what a scene needs, reporting each kernel."""
+Later = Callable[[], None]
+"""Compiles what is not needed for a first step."""
+
+Prepare = Callable[[Scene, Progress], Later | None]
+"""Compiles what a scene needs, reporting each kernel; gives what may be done after the first frame."""
 
 _log = logging.getLogger(__name__)
 
 
-def compile_kernels(scene: Scene, progress: Progress) -> None:
-    """Compile every kernel that a scene needs, reporting each one."""
+def compile_kernels(scene: Scene, progress: Progress) -> Later:
+    """Compile every kernel that a scene's steps need, reporting each one; later, what counts crossings."""
+    from sim.crossings import compile_counting
     from sim.warmup import warm_up
 
     warm_up(scene, progress=progress)
+    return compile_counting
 
 
 class Compiler:
@@ -35,7 +40,8 @@ class Compiler:
         post: Has another thread call a function with arguments soon. All that follow are called like that.
         on_progress: As kernels are compiled.
         on_failure: With what went wrong. The simulation that lacks a kernel will say so again.
-        on_ready: When all is done that can be.
+        on_ready: When all is done that steps need, or that can be.
+        on_whole: When the rest is done, too.
     """
 
     def __init__(
@@ -45,9 +51,11 @@ class Compiler:
         on_progress: Progress,
         on_failure: Callable[[str], None],
         on_ready: Callable[[], None],
+        on_whole: Callable[[], None],
     ):
         self._prepare, self._post = prepare, post
-        self._on_progress, self._on_failure, self._on_ready = on_progress, on_failure, on_ready
+        self._on_progress, self._on_failure = on_progress, on_failure
+        self._on_ready, self._on_whole = on_ready, on_whole
         self._newest = 0
         self._one_at_a_time = threading.Lock()
 
@@ -65,16 +73,26 @@ class Compiler:
         def progress(done: int, total: int, name: str) -> None:
             self._post(self._answer, request, self._on_progress, done, total, name)
 
-        variants = map(comparison.settings, range(comparison.count))
+        variants, later = map(comparison.settings, range(comparison.count)), None
         try:
             for settings in variants:  # what one has compiled, the next finds ready
                 with self._one_at_a_time:
                     if request == self._newest:
-                        self._prepare(msgspec.structs.replace(scene, settings=settings), progress)
+                        later = self._prepare(msgspec.structs.replace(scene, settings=settings), progress)
         except Exception as error:  # shown on the page, and again by the lane that cannot start
-            _log.exception("kernels could not be compiled")
-            self._post(self._on_failure, f"kernels could not be compiled: {error}")
+            self._fail(error)
         self._post(self._answer, request, self._on_ready)
+        try:
+            with self._one_at_a_time:
+                if later is not None and request == self._newest:
+                    later()
+        except Exception as error:
+            self._fail(error)
+        self._post(self._answer, request, self._on_whole)
+
+    def _fail(self, error: Exception) -> None:
+        _log.error("kernels could not be compiled", exc_info=error)
+        self._post(self._on_failure, f"kernels could not be compiled: {error}")
 
     def _answer(self, request: int, answer: Callable, *args: object) -> None:
         """In the other thread: pass on an answer, unless something else has been asked for since."""

@@ -18,7 +18,7 @@ from server.digits import number_text, round_below, short
 from server.guard import Guard, handle_id
 from server.palette import Rgb
 from server.relevance import AT_RESET
-from sim.settings import Field, convert
+from sim.settings import Field, convert, quotient
 
 LINEAR_STEPS, DECADE_STEPS = 200, 20
 """Positions of a slider over its range, and over one power of ten."""
@@ -34,12 +34,6 @@ def tooltip(field: Field) -> str:
     parts.append(f"Cost: {field.cost}." if field.cost else "")
     parts.append("Acts at the next reset." if field.name in AT_RESET else "")
     return "  ·  ".join(filter(None, parts))
-
-
-def quotient(text: Any) -> float:
-    """A number as it is typed into a box: 0.02, 1e-3 or 1/60; ValueError or ZeroDivisionError for others."""
-    above, slash, below = str(text).partition("/")
-    return float(above) / float(below) if slash else float(above)
 
 
 class Control:
@@ -195,7 +189,7 @@ class LogSlider(Control):
     def _check_text(self, text: Any) -> str:
         """Refuses rather than clamps: on the way to 0.02 a hand types 0, which nobody means."""
         try:
-            convert(self.field.name, quotient(text))
+            convert(self.field.name, quotient(str(text)))
         except (ValueError, TypeError, ZeroDivisionError):
             raise ValueError(self.field.refusal(str(text)[:40])) from None
         return str(text)

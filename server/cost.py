@@ -34,9 +34,9 @@ PLOTS = (".png", ".svg")
 def run_study(
     measure: Callable[[Callable[[float, str], None]], Report],
     command: str,
-    json: str | None,
-    html: str | None,
-    plots: str | None,
+    json: str | None = None,
+    html: str | None = None,
+    plots: str | None = None,
 ) -> int:
     """Measure, print the tables, and write the files that are asked for.
 

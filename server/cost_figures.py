@@ -38,7 +38,8 @@ def cost_figures(report: CostReport) -> Figures:
         found: Figures = {
             "work-precision": (
                 "Error against cost. Down and to the left is better; the grey staircase is the Pareto front: "
-                "nothing beats it in both. Filled: Newton iterations as chosen; hollow: solved fully.",
+                "nothing beats it in both. Filled: Newton iterations as chosen; hollow: solved fully. In the "
+                "grey band above the floor an error is not known to a tenth.",
                 _work_precision(
                     report, lambda run: run.ms * FRAME, "time per frame of 1/60 s  [ms]", "front"
                 ),
@@ -299,7 +300,7 @@ def _horizon(report: CostReport) -> Figure:
     axes.set(yscale="log", xlabel="simulated time  [s]", ylabel="relative distance")
     axes.set_xlim(left=0.0)
     axes.set_title(f"{report.scene}: how long runs can be compared", loc="left")
-    axes.legend(loc="lower right")
+    axes.legend(loc="best")
     return figure
 
 

@@ -83,10 +83,13 @@ class Framing:
         clear = (cloth @ self._up).max() + LABEL_CLEAR * size - middle[:2] @ self._up[:2]
         return np.array([*middle[:2], max(self._high[2] + LABEL_ROOM * size, clear / self._up[2])])
 
-    def camera(self, aspect: float = ASPECT, fov: float = FIELD_OF_VIEW) -> tuple[np.ndarray, np.ndarray]:
+    def camera(
+        self, aspect: float = ASPECT, fov: float = FIELD_OF_VIEW, covered: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Position and target [m] of a camera with this width over height and vertical angle [rad].
 
-        The view holds all variants with their labels; what is beside the docks is not part of it.
+        The view holds all variants with their labels above the part of its height that is `covered` from
+        below; what is beside the docks is not part of it.
         """
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         label = LABEL_HEIGHT * max(self.size, self._width)
@@ -96,11 +99,13 @@ class Framing:
         points = np.concatenate([points, sides])
         points = (points[None] + self.offsets[:, None]).reshape(-1, 3) - self._target
         depth, across, above = points @ self._toward, points @ self._right, points @ self._up
-        tangent = np.tan(fov / 2)
+        tangent, free = np.tan(fov / 2), 1.0 - covered
         distance = np.max(
-            depth + 1.03 * np.maximum(np.abs(across) / (tangent * aspect), np.abs(above) / tangent)
+            depth + 1.03 * np.maximum(np.abs(across) / (tangent * aspect), np.abs(above) / (tangent * free))
         )
-        return self._target + self._toward * distance, self._target
+        # The middle of what is free is above the middle of the view: camera and target go down together.
+        below = -covered * tangent * distance * self._up
+        return self._target + below + self._toward * distance, self._target + below
 
 
 def downward(scene: Scene) -> np.ndarray:

@@ -81,7 +81,8 @@ class Lab:
         access = Access.at(host, view_only)
         self._page = Page(self, host, port, list(self._scenes), self._scene.name, access)
         self._bench = Bench(lambda: self._page.watched, on_frame=lambda: self.post(lambda: None))
-        self._compiler = Compiler(prepare, self.post, self._show_progress, self.say, self._launch)
+        answers = self._show_progress, self.say, self._launch, self._bench.count_crossings
+        self._compiler = Compiler(prepare, self.post, *answers)
         self._ringdown = RingDown(measure, self.post, self._page.charts.show_damping)
         self._prober = Prober(self.post)
         self._thread = threading.Thread(target=self._run, name="muslin lab", daemon=True)

@@ -18,6 +18,9 @@ WIDTH = 34
 ALARM_WIDTH = 27
 """The same of what is written larger."""
 
+OLD = 5.0
+"""Simulated time [s] after which a local error is said to be of an earlier moment."""
+
 ON_PURPOSE = "wrong on purpose"
 """Said of a variant that shows a mistake."""
 
@@ -95,20 +98,39 @@ def label(
 
 
 def error_text(reading: Reading) -> str:
-    """A local error in percent; where it is not known to a tenth, what it is at least, or at most."""
+    """A local error in percent; where it is not known to a tenth, what it is about, at least, or at most."""
     found = reading.found
     if found is None:
         return "measuring" if reading.measuring else f"{UNKNOWN} %"
     sign, error = "", found.error
     if not found.sure:
         sign, error = ("≥ ", found.least) if found.least > 0.0 else ("< ", found.most)
+        if reading.quick and found.least > 0.0:
+            sign, error = "≈ ", found.error
     return f"{sign}{written(100.0 * error, 2)} %"
+
+
+def error_hint(reading: Reading) -> str:
+    """What a local error is, and how it is known; why it is not, if so."""
+    if reading.found is None:
+        return reading.why_not or "Not measured yet."
+    at = f"Of a frame from {reading.time:.2f} s, as part of the cloth's size"
+    if reading.quick:
+        more = "A better one is on its way." if reading.better else "In a pause it is measured better."
+        return f"{at}: about so much, beside a run with a quarter of the step. {more}"
+    return f"{at}, beside a finer run that is known to a tenth of it, or has a sixteenth of the step."
+
+
+def is_old(meter: Meter) -> bool:
+    """Whether time has run on since the local error was measured, so that it is of another cloth by now."""
+    return meter.reading.found is not None and abs(meter.latest.time - meter.reading.time) > OLD
 
 
 def measured(meter: Meter) -> str:
     """Milliseconds per step and local error, and below it what is inside and what crosses, where known."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
-    return "\n".join([f"{ms} ms · {error_text(meter.reading)}", *crossed(meter)])
+    then = [f"error of {meter.reading.time:.1f} s"] * is_old(meter)
+    return "\n".join([f"{ms} ms · {error_text(meter.reading)}", *then, *crossed(meter)])
 
 
 def crossed(meter: Meter) -> list[str]:

@@ -105,13 +105,21 @@ class Lane(threading.Thread):
         build: Makes the simulation for some settings; called in this thread.
         settings: The settings to begin with.
         on_frame: Called in this thread after each new frame; must return at once.
+        counting: Whether to count what crosses, which would have to compile something when first done.
     """
 
-    def __init__(self, build: Callable[[Settings], Any], settings: Settings, on_frame: Callable[[], None]):
+    def __init__(
+        self,
+        build: Callable[[Settings], Any],
+        settings: Settings,
+        on_frame: Callable[[], None],
+        counting: bool = True,
+    ):
         super().__init__(name="muslin lane", daemon=True)
         self.frame = Frame()
         self.step_length = settings.dt
         """The present time step [s]."""
+        self.counting = counting
         self._build = build
         self._settings = settings
         self._on_frame = on_frame
@@ -274,7 +282,7 @@ class Lane(threading.Thread):
     def _crossings(self) -> int | None:
         """How many edges go through triangles, where that is asked for or takes no more than its share."""
         begin = perf_counter()
-        if not self._count_next and begin < self._count_due:
+        if not self.counting or (not self._count_next and begin < self._count_due):
             return None
         count, end = self._world.crossings(), perf_counter()
         if not self._count_next:  # at the start, kernels may have had to be loaded first

@@ -88,14 +88,26 @@ def _template() -> Template:
     return environment.get_template("study.html")
 
 
+SHORT = 24
+"""Characters of words that are never put on two lines."""
+
+
 def _laid_out(table: Table) -> dict[str, object]:
-    """A table as the template wants it: which columns are words, and which rows are marked."""
-    words = [any(isinstance(row[k], str) for row in table.rows) for k in range(len(table.columns))]
+    """A table as the template wants it: how columns look, and which rows are marked."""
+    looks = [_look([row[k] for row in table.rows]) for k in range(len(table.columns))]
     rows = [
-        {"cells": list(zip(map(cell_text, row), words, strict=True)), "marked": FRONT in row}
+        {"cells": list(zip(map(cell_text, row), looks, strict=True)), "marked": FRONT in row}
         for row in table.rows
     ]
-    return {"caption": table.caption, "columns": list(zip(table.columns, words, strict=True)), "rows": rows}
+    return {"caption": table.caption, "columns": list(zip(table.columns, looks, strict=True)), "rows": rows}
+
+
+def _look(column: Sequence[Cell]) -> str:
+    """The class of a column: numbers have none."""
+    words = [cell for cell in column if isinstance(cell, str)]
+    if not words:
+        return ""
+    return "long words" if max(map(len, words)) > SHORT else "words"
 
 
 # muslin cost

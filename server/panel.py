@@ -140,14 +140,19 @@ class Panel:
             async def _(event: Any, action=action) -> None:
                 lab.post(action)
 
-        label, key = "Frame the view", "F"
-        frame = self._gui.add_command(label, hotkey=key)
-        keys = {key: label for label, key, _ in commands} | {key: label}
+        keys = {key: label for label, key, _ in commands} | {"F": "Frame the view", "?": "Help"}
         self._keys.content = style.keys(keys)
+        frame = self._gui.add_command(keys["F"], hotkey="F")
+        # viser lists no key "?", but hands on to the browser whatever it is told.
+        helped = self._gui.add_command(keys["?"], hotkey="?", modifier="shift")  # pyright: ignore[reportArgumentType]
 
         @frame.on_trigger
         async def _(event: Any) -> None:
             lab.post(lab.frame_view, event.client)
+
+        @helped.on_trigger
+        async def _(event: Any) -> None:
+            event.client.add_notification("How to read this page", style.help_text(keys))
 
     def show_scene(self, scene: Scene) -> None:
         """Say which scene is open and what to look for in it."""

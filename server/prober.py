@@ -1,8 +1,10 @@
 """Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
 
 The time that probes take is accounted for: the regular ones, all together, take at most SHARE of the time
-that the lanes step. What a change made out of date, or a pause, is measured once as soon as changes have
-settled. While nobody looks nothing is measured.
+that the lanes step, of which a thread that steps aside takes no more than its own processor time. What a
+change made out of date, or a pause, is measured as soon as changes have settled: quickly first, for every
+variant, and then to a tenth. Regular ones are quick, as one that is late is of another cloth. While nobody
+looks nothing is measured.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from time import perf_counter, thread_time
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from server.lane import Ask, Frame
 from sim.report import StepError
@@ -30,6 +33,9 @@ SHARE = 0.025
 
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""
+
+RETRY = 5.0
+"""Wall time [s] between a measurement that failed and the next regular one: it may fail at once."""
 
 NICE = 10
 """By how much the thread stands back where the machine is busy, on systems that have it."""
@@ -56,6 +62,8 @@ class Reading:
         why_not: Why it could not be measured; empty otherwise.
         trend: How it goes: "↗", "→", "↘", or nothing yet.
         time: Simulated time [s] of the state that it is of.
+        quick: Whether it is beside a run that is not much finer, and so not known to a tenth.
+        better: Whether a better one is on its way.
     """
 
     found: Any = None
@@ -63,9 +71,19 @@ class Reading:
     why_not: str = ""
     trend: str = ""
     time: float = -1.0
+    quick: bool = False
+    better: bool = False
 
 
 NO_READING, MEASURING = Reading(), Reading(measuring=True)
+
+
+class _Due(NamedTuple):
+    """A measurement of a variant: a quick one, or to a tenth; regular, or asked for by a change."""
+
+    variant: int
+    quick: bool = False
+    regular: bool = False
 
 
 class Prober:
@@ -76,7 +94,7 @@ class Prober:
 
     Attributes:
         readings: By variant.
-        spent: Time [s] that regular probes took, of `stepped` that the lanes stepped.
+        spent: Processor time [s] that regular probes took, of `stepped` that the lanes stepped.
     """
 
     def __init__(self, post: Callable) -> None:
@@ -93,7 +111,7 @@ class Prober:
         self._versions, self._turn = [0] * count, 0
         self._seen: list[Frame | None] = [None] * count
         self.readings = [MEASURING] * count
-        self._changed = perf_counter()
+        self._changed, self._failed = perf_counter(), -RETRY
         self.spent = self.stepped = self._took = 0.0
 
     def changed(self, index: int) -> None:
@@ -121,9 +139,11 @@ class Prober:
             self._seen[i] = frame
         if self._busy or self._build is None or not watched or not bench.ready:
             return
-        if (index := self._next(bench)) is not None:
-            self._turn, regular = index + 1, bench.playing and self.readings[index] is not MEASURING
-            self.ask(bench, index, _measure, lambda found: self._take(index, found), regular)
+        if (due := self._next(bench)) is not None:
+            if due.regular:
+                self._turn = due.variant + 1
+            take = partial(self._take, due)
+            self.ask(bench, due.variant, partial(_measure, quick=due.quick), take, due.regular)
 
     def ask(
         self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], regular: bool = False
@@ -140,8 +160,8 @@ class Prober:
             self._thread = threading.Thread(target=self._work, name="muslin prober", daemon=True)
             self._thread.start()
 
-    def _next(self, bench: Bench) -> int | None:
-        """Which variant is to be measured now."""
+    def _next(self, bench: Bench) -> _Due | None:
+        """What is to be measured now."""
         if perf_counter() < self._changed + SETTLE:
             return None
         able = [i for i, lane in enumerate(bench.lanes) if lane.ready and not lane.frame.refused]
@@ -149,12 +169,16 @@ class Prober:
             reading = self.readings[i]
             moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not
             if reading is MEASURING or moved:
-                return i
-        if not bench.playing or self.spent + self._took > SHARE * self.stepped:
+                return _Due(i, quick=True)
+        for i in able:
+            if self.readings[i].better or (self.readings[i].quick and not bench.playing):
+                return _Due(i)
+        paid = self.spent + self._took <= SHARE * self.stepped
+        if not able or not bench.playing or not paid or perf_counter() < self._failed + RETRY:
             return None
-        return next((i for i in able if i >= self._turn), next(iter(able), None))
+        return _Due(next((i for i in able if i >= self._turn), able[0]), quick=True, regular=True)
 
-    def _take(self, index: int, found: Any) -> None:
+    def _take(self, due: _Due, found: Any) -> None:
         """Keep what was found, or why nothing was."""
         if isinstance(found, Stopped):
             return
@@ -162,14 +186,16 @@ class Prober:
             self._build = None
         state, found = found if isinstance(found, tuple) else (None, found)
         if state is None:
-            self.readings[index] = Reading(why_not=str(found))
+            self.readings[due.variant], self._failed = Reading(why_not=str(found)), perf_counter()
             return
-        before, trend = self.readings[index].found, ""
-        if before is not None:
-            ratio = found.error / max(before.error, 1e-300)
+        before, trend, quick = self.readings[due.variant], "", due.quick and not found.sure
+        if before.found is not None and (before.quick == quick):  # else it was beside another run
+            ratio = found.error / max(before.found.error, 1e-300)
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
-        self._took = found.took
-        self.readings[index] = Reading(found, trend=trend, time=state.time)
+        if due.quick:
+            self._took = found.took
+        better = quick and not due.regular
+        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick, better)
 
     # The prober's own thread.
 
@@ -178,9 +204,9 @@ class Prober:
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (job := self._jobs.get()) is not None:
             token, state, work, then, regular = job
-            begin = perf_counter()
+            begin = thread_time()
             result = self._result(token, state, work)
-            self._post(self._answer, token, result, then, perf_counter() - begin, regular)
+            self._post(self._answer, token, result, then, thread_time() - begin, regular)
 
     def _result(self, token: tuple[int, int, int], state: Any, work: Work) -> Any:
         from sim.probe import Probe
@@ -219,5 +245,7 @@ class Prober:
         then(result if self._holds(token) else Stopped())
 
 
-def _measure(probe: Any, state: Any) -> Any:
-    return state, probe.measure(state)
+def _measure(probe: Any, state: Any, quick: bool) -> Any:
+    from sim.probe import QUICK, REFINED
+
+    return state, probe.measure(state, QUICK if quick else REFINED[-1])

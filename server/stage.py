@@ -10,15 +10,12 @@ from server.framing import ASPECT, FIELD_OF_VIEW, Framing, is_floor
 from server.lane import Frame
 from server.palette import BLACK, GROUND, STONE, VARIANTS, WHITE
 from server.shapes import capsule, obstacle_mesh, quaternion, standing
+from server.style import PHONE, SHEET_PART
 from sim.mesh import Mesh
 from sim.scene import Plane, Scene
 
 LABEL, ALARM, MANY = 1.45, 1.7, 0.8
 """Size of labels, as a multiple of viser's: to be read from the back row; smaller for more than two."""
-
-
-PHONE = 576
-"""Views up to this width [CSS px] have their controls below, not beside."""
 
 
 def view_of(client: viser.ClientHandle) -> tuple[float, float]:
@@ -27,7 +24,10 @@ def view_of(client: viser.ClientHandle) -> tuple[float, float]:
 
 
 def between_docks(view: tuple[float, float], docks: float) -> tuple[float, float]:
-    """What docks of a width [CSS px] will leave of a view that was measured before there were any."""
+    """What docks of a width [CSS px] will leave of a view that was measured before there were any.
+
+    On a phone there are none, but a sheet over the lower part, which `Stage.frame_view` knows of.
+    """
     width, height = view
     return (width if width <= PHONE else max(width - docks, width / 3)), height
 
@@ -101,7 +101,8 @@ class Stage:
         width, height = view or view_of(client)
         aspect = width / height if 0 < height < np.inf else ASPECT
         aspect = min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
-        position, target = self._framing.camera(aspect, FIELD_OF_VIEW)
+        covered = SHEET_PART if width <= PHONE else 0.0
+        position, target = self._framing.camera(aspect, FIELD_OF_VIEW, covered)
         with client.atomic():
             camera.fov = FIELD_OF_VIEW
             camera.position = position

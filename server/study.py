@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import math
 import sys
+from collections.abc import Sequence
+from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table as Printed
 
@@ -119,20 +122,43 @@ def _print(result: Result, console: Console) -> None:
     for table in result.tables:
         console.print()
         console.print(table.caption, style="italic")
-        console.print(_printed(table))
+        console.print(_printed(table, console))
     for note in result.notes:
         console.print()
         console.print(note)
 
 
-def _printed(table: Table) -> Printed:
-    printed = Printed()
-    for place, heading in enumerate(table.columns):
-        words = any(isinstance(row[place], str) for row in table.rows)
-        printed.add_column(heading, justify="left" if words else "right")
-    for row in table.rows:
-        printed.add_row(*map(cell_text, row))
+def _printed(table: Table, console: Console) -> Printed:
+    """A table in which no word is cut short, if there is room: without lines between columns if need be."""
+    count, narrow = len(table.columns), {"box": SIMPLE_HEAD, "pad_edge": False, "collapse_padding": True}
+    texts = [[heading, *(cell_text(row[k]) for row in table.rows)] for k, heading in enumerate(table.columns)]
+    widths = _widths(texts, console.width - 3 * count - 1)
+    look: dict[str, Any] = {} if widths else narrow
+    widths = widths or _widths(texts, console.width - 2 * count - 2) or [None] * count
+    printed = Printed(**look)
+    for k, (heading, width) in enumerate(zip(table.columns, widths, strict=True)):
+        words = any(isinstance(row[k], str) for row in table.rows)
+        printed.add_column(heading, justify="left" if words else "right", width=width)
+    for row in zip(*(column[1:] for column in texts), strict=True):
+        printed.add_row(*row)
     return printed
+
+
+def _widths(texts: Sequence[Sequence[str]], room: int) -> list[int] | None:
+    """Characters of each column, so that no word is cut, within `room` for all of them; None for too little.
+
+    What is left goes to columns that need least to have all in one line.
+    """
+    widths = [max(len(word) for text in column for word in [*text.split(), " "]) for column in texts]
+    spare = room - sum(widths)
+    if spare < 0:
+        return None
+    more = [max(map(len, column)) - width for column, width in zip(texts, widths, strict=True)]
+    for k in sorted(range(len(widths)), key=lambda k: more[k]):
+        given = max(0, min(more[k], spare))
+        widths[k] += given
+        spare -= given
+    return widths
 
 
 def cell_text(cell: Cell) -> str:

@@ -15,6 +15,17 @@ LEFT_WIDTH, RIGHT_WIDTH = 300, 300
 LABEL, BOX, ROW = 7.7, 3.6, 1.90625
 """Of a setting's row [em]: width of its label, width of the box beside a slider, height."""
 
+PHONE, SHEET_PART = 576, 0.4
+"""Pages up to this width [CSS px] have a sheet of controls at the bottom, of this part of the height."""
+
+SHEET = (
+    f"@media(max-width:{PHONE}px){{"
+    '.mantine-Paper-root[style*="position: fixed"]'
+    f"{{width:100%!important;max-height:{100 * SHEET_PART:g}%!important}}"
+    '.mantine-Paper-root[style*="position: fixed"] [style*="width: 20em"]{width:100%!important}}'
+)
+"""Rules for that sheet: of viser's own, 60 % and 20 em beside the right border would cover the cloths."""
+
 UNKNOWN = "–"
 """Stands for a number that has not been measured."""
 
@@ -45,6 +56,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin .rule>td{border-top:1px solid #d8d2c9}"
         "[role=tab]{padding:.7em .5em!important}[role=tab],[role=tab] *{font-size:12px!important}"
         ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
+        ".mantine-Notification-description{white-space:pre-line}"
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
         f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"
@@ -54,7 +66,7 @@ def page(control_rules: str, *rows: Any) -> str:
         "{pointer-events:none}"
         ".mantine-Slider-root:is([data-disabled],:has([data-disabled]))~.mantine-NumberInput-root input"
         "{background:#f1f3f5;color:#6f6f6f}"
-        f"{bare}{control_rules}</style>"
+        f"{SHEET}{bare}{control_rules}</style>"
     )
 
 
@@ -64,6 +76,13 @@ def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
     tried = f'<ul class="small">{items}</ul>' if items else ""
     return f'<div class="muslin"><p><b>{escape(title)}.</b> {escape(look_for)}</p>{tried}</div>'
 
+
+HELP = (
+    "Above each cloth: milliseconds per step, and the local error of one frame, beside a finer run. "
+    "≈ is measured quickly, ≥ and < are all that is known. Below: what is in obstacles, and what crosses.",
+    "Point at a setting, an effect or a number to be told what it is.",
+)
+"""How to read the page."""
 
 MOUSE = {"drag": "Turn the view", "right drag": "Move it", "wheel": "Zoom"}
 """What the mouse does, as viser has it."""
@@ -76,6 +95,11 @@ def keys(commands: Mapping[str, str]) -> str:
         for key, what in (MOUSE | {**commands}).items()
     )
     return f'<div class="muslin left"><table>{rows}</table></div>'
+
+
+def help_text(commands: Mapping[str, str]) -> str:
+    """How to read the page, and what keys do."""
+    return "\n\n".join([*HELP, "\n".join(f"{key}: {what}" for key, what in commands.items())])
 
 
 SHARED = "Everyone who connects shares this simulation: all see the same cloths, and each looks around alone."

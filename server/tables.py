@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from server import style
 from server.digits import written
-from server.labels import ON_PURPOSE, effects, error_text, is_unstable, what_is_wrong
+from server.labels import (
+    ON_PURPOSE,
+    effects,
+    error_hint,
+    error_text,
+    is_old,
+    is_unstable,
+    what_is_wrong,
+)
 from server.meter import Meter
 from server.palette import VARIANTS
-from sim.effects import EFFECTS
+from sim.accounts import DISSIPATED, INJECTED, meaning
+from sim.effects import does
 
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
-
-RULED = ("at the start", "= now", "|P| [kg m/s]")
-"""Rows with a line above them."""
 
 COLUMNS = {
     "ms": "Milliseconds per step.",
@@ -32,29 +38,6 @@ COLUMNS = {
 
 IDLE = ("off", "skipped")
 """How what a step says of an effect begins that did nothing."""
-
-ENTRIES = {
-    "kinetic": "Of motion.",
-    "gravity": "Of height, from the origin.",
-    "at the start": "All energy when the books were opened.",
-    "+ settings": "Put in by changes of settings.",
-    "+ wind": "Work of the air.",
-    "+ obstacles": "Put in by obstacles that move.",
-    "− damping": "Taken by the damping of the springs, which γ sets.",
-    "− friction": "Taken by friction.",
-    "− contact": "Taken by impacts.",
-    "− strain limiting": "Taken where edges were kept from being too long.",
-    "− linearisation": "Taken, or put in, as steps take forces for linear; more Newton iterations lessen it.",
-    "− integrator": "Taken, or put in, by the time step itself; shorter steps lessen it.",
-    "+ switched springs": "Put in as springs began or ceased to act.",
-    "+ wrong springs": "Put in by springs that are wrong on purpose.",
-    "− sleep": "Of motion, when cloth fell asleep.",
-    "= now": "All energy now.",
-    "residual": "What does not add up, of all energy that changed its kind.",
-    "|P| [kg m/s]": "Size of the linear momentum.",
-    "|L| [kg m²/s]": "Size of the angular momentum about the origin.",
-}
-"""What rows of the table of sums mean; the others are energies of springs."""
 
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
@@ -83,7 +66,7 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
         cells = [
             number(meter.ms["total"] if meter.ms else None),
             style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
-            f"{error_text(meter.reading)} {meter.reading.trend}".rstrip(),
+            error_cell(meter),
             trouble_text(meter.inside),
             trouble_text(meter.crossings),
         ]
@@ -97,6 +80,13 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
     columns = {escape(setting): "", **COLUMNS}
     head = "".join(f'<th title="{hint}">{column}</th>' for column, hint in columns.items())
     return f'<div class="muslin many"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def error_cell(meter: Meter) -> str:
+    """A local error with its trend, dim where it is old; pointed at, it says how it is known."""
+    words = f"{error_text(meter.reading)} {meter.reading.trend}".rstrip()
+    look = ' class="dim"' * is_old(meter)
+    return f'<span{look} title="{escape(error_hint(meter.reading))}">{escape(words)}</span>'
 
 
 def trouble_text(count: int | None) -> str:
@@ -126,6 +116,27 @@ def real_time(meter: Meter) -> float | None:
     return 1e3 * meter.dt / max(meter.ms["total"], 1e-6)
 
 
+class Row(NamedTuple):
+    """A row of the table of sums.
+
+    Attributes:
+        title: What stands before the numbers.
+        means: What that is, for those who point at it.
+        cells: A number for each variant.
+        ruled: Whether something new begins here, with a line above.
+    """
+
+    title: str
+    means: str
+    cells: list[str]
+    ruled: bool = False
+
+    def html(self) -> str:
+        """As a row of HTML."""
+        rule, cells = ' class="rule"' * self.ruled, "".join(f"<td>{cell}</td>" for cell in self.cells)
+        return f'<tr{rule} title="{escape(self.means)}"><td class="dim">{escape(self.title)}</td>{cells}</tr>'
+
+
 def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     """Every kind of energy [J] and the size of both momenta, a column for each variant."""
     many = len(meters) > 2
@@ -134,32 +145,27 @@ def sums_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     if not rows:
         return ""
     head = "".join(f"<th>{style.chip(VARIANTS[i])}{escape(n)}</th>" for i, n in enumerate(names))
-    lines = [
-        f'<tr{look(title)}><td class="dim">{escape(title)}</td>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
-        for title, cells in rows
-    ]
     looks = "muslin many" if many else "muslin"
-    return f'<div class="{looks}"><table><tr><th></th>{head}</tr>{"".join(lines)}</table></div>'
+    lines = "".join(row.html() for row in rows)
+    return f'<div class="{looks}"><table><tr><th></th>{head}</tr>{lines}</table></div>'
 
 
-def look(title: str) -> str:
-    """How a row looks, where what begins something new has a line above it, and what it says if asked."""
-    rule = ' class="rule"' if title in RULED else ""
-    return f'{rule} title="{ENTRIES.get(title, "Stored in springs of this kind.")}"'
-
-
-def energy_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
+def energy_rows(meters: Sequence[Meter], digits: int) -> list[Row]:
     """A row for every kind of energy [J]: its name, and the variants' numbers."""
     energies = [meter.latest.energy for meter in meters]
     largest = max((abs(e) for energy in energies for e in energy.values()), default=0.0)
     floor = max(NOTHING, SLIGHT * largest)
     return [
-        (kind, [energy_text(e[kind], floor, digits) if kind in e else style.UNKNOWN for e in energies])
+        Row(
+            kind,
+            meaning(kind),
+            [energy_text(e[kind], floor, digits) if kind in e else style.UNKNOWN for e in energies],
+        )
         for kind in dict.fromkeys(kind for energy in energies for kind in energy)
     ]
 
 
-def ledger_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
+def ledger_rows(meters: Sequence[Meter], digits: int) -> list[Row]:
     """What went where since the start [J]: each entry that any variant has, and what does not add up."""
     ledgers = [meter.latest.ledger for meter in meters]
     known = [ledger for ledger in ledgers if ledger is not None]
@@ -167,17 +173,22 @@ def ledger_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[st
         return []
     floor = max(NOTHING, SLIGHT * max(ledger.turnover for ledger in known))
 
-    def row(title: str, value: Callable[[Any], float], always: bool = False) -> list[tuple[str, list[str]]]:
-        cells = [style.UNKNOWN if one is None else energy_text(value(one), floor, digits) for one in ledgers]
-        return [(title, cells)] if always or any(cell not in ("0", style.UNKNOWN) for cell in cells) else []
+    def cells(value: Callable[[Any], float]) -> list[str]:
+        return [style.UNKNOWN if one is None else energy_text(value(one), floor, digits) for one in ledgers]
 
-    rows = row("at the start", lambda ledger: ledger.start, always=True)
-    for sign, part in (("+", "injected"), ("−", "dissipated")):
+    rows = [Row("at the start", "All energy when the books were opened.", cells(lambda one: one.start), True)]
+    for sign, part, entries in ("+", "injected", INJECTED), ("−", "dissipated", DISSIPATED):
         for name in getattr(known[0], part):
-            rows += row(f"{sign} {name}", lambda ledger, part=part, name=name: getattr(ledger, part)[name])
-    rows += row("= now", lambda ledger: sum(ledger.energy.values()), always=True)
-    rows.append(("residual", [style.UNKNOWN if one is None else residual_text(one) for one in ledgers]))
-    return rows
+            flows = cells(lambda one, part=part, name=name: getattr(one, part)[name])
+            if any(cell not in ("0", style.UNKNOWN) for cell in flows):
+                rows.append(Row(f"{sign} {name}", entries[name], flows))
+    now = cells(lambda one: sum(one.energy.values()))
+    left = [style.UNKNOWN if one is None else residual_text(one) for one in ledgers]
+    return [
+        *rows,
+        Row("= now", "All energy now.", now, True),
+        Row("residual", "What does not add up, of all energy that changed its kind.", left),
+    ]
 
 
 def residual_text(ledger: Any) -> str:
@@ -186,7 +197,7 @@ def residual_text(ledger: Any) -> str:
     return f"{written(100.0 * part, 1)} %"
 
 
-def momentum_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[str]]]:
+def momentum_rows(meters: Sequence[Meter], digits: int) -> list[Row]:
     """The same for the sizes of linear and angular momentum; none before there is a simulation.
 
     What rounding alone makes is shown: that it is no more than that is what there is to be seen.
@@ -194,12 +205,14 @@ def momentum_rows(meters: Sequence[Meter], digits: int) -> list[tuple[str, list[
     momenta = [meter.latest.momentum for meter in meters]
     if all(momentum is None for momentum in momenta):
         return []
+
+    def cells(k: int) -> list[str]:
+        sizes = [None if m is None else float(np.linalg.norm(m[k])) for m in momenta]
+        return [style.UNKNOWN if size is None else written(size, digits) for size in sizes]
+
     return [
-        (
-            title,
-            [style.UNKNOWN if m is None else written(float(np.linalg.norm(m[k])), digits) for m in momenta],
-        )
-        for k, title in enumerate(("|P| [kg m/s]", "|L| [kg m²/s]"))
+        Row("|P| [kg m/s]", "Size of the linear momentum.", cells(0), True),
+        Row("|L| [kg m²/s]", "Size of the angular momentum about the origin.", cells(1)),
     ]
 
 
@@ -235,6 +248,7 @@ def effect_row(name: str, word: str, cost: float | None = None, total: float = 0
         looks = f"border-left:{part:.1f}px solid currentColor;height:.5em;display:inline-block"
         hint = f"{part:.0f} % of the step, without what it adds to the work of the solver"
         bar = f'<div style="{looks}" title="{hint}"></div> {cost:.2f} ms'
-    does = EFFECTS[name].changes if name in EFFECTS else ""
     title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
-    return f'<tr class="{look}" title="{escape(does)}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'
+    return (
+        f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'
+    )

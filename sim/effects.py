@@ -103,8 +103,21 @@ EFFECTS: dict[str, Effect] = {
 OBSTACLE = "obstacle "
 """What the name of a single obstacle's effect begins with; what it is called follows."""
 
+TOLD_BESIDES = {
+    "contact": "answers what meets, by the collision method",
+    "integrator": "makes the step from forces",
+    "sleep": "leaves out cloth that is at rest",
+}
+"""What a step also says a word of, though it is none of the effects: what it does."""
+
 COLLISIONS = ("self_collision", "cloth_collision")
 """Effects whose pairs are of cloth and cloth."""
+
+NO_OBSTACLES, NO_TRIANGLES = "skipped: there are none", "skipped: no triangles"
+ONE_PIECE, ALONE = "skipped: there is one piece", "skipped: there is nothing to meet"
+SLACK = "skipped: their stiffness is zero"
+NEVER = (NO_OBSTACLES, NO_TRIANGLES, ONE_PIECE, ALONE, SLACK)
+"""What is said of an effect that no step has anything for; for how many steps says nothing then."""
 
 CHOICES = ("auto", "on", "off")
 
@@ -151,6 +164,11 @@ def find_effect(name: str) -> Effect:
     if name not in EFFECTS:
         raise ValueError(_no_effect(name, EFFECTS))
     return EFFECTS[name]
+
+
+def does(name: str) -> str:
+    """What an effect does to cloth, or what else a step says a word of; ValueError as `find_effect`."""
+    return TOLD_BESIDES[name] if name in TOLD_BESIDES else find_effect(name).changes
 
 
 def _no_effect(name: str, known: Iterable[str]) -> str:
@@ -268,7 +286,7 @@ class Told:
             found[name] = _collision(name, settings, model, report)
         found["edge_edge"] = _edge_edge(settings, model, report, there)
         found["continuous_detection"] = _continuous(settings, model, report, there)
-        found["wind"] = "ran" if model.wind is not None else "skipped: no triangles"
+        found["wind"] = "ran" if model.wind is not None else NO_TRIANGLES
         found["strain_limiting"] = _strain(report)
         found["friction"] = "ran" if report.contacts else "skipped: no contacts"
         for name, effect in effects.items():
@@ -299,7 +317,8 @@ class Told:
                 self.usual[name] = min(took, self.usual.get(name, math.inf))
             return ""
         self.skipped[name] = self.skipped.get(name, 0) + 1
-        many = f" for {self.skipped[name]} steps" if self.skipped[name] > 1 else ""
+        told = self.skipped[name] > 1 and words not in NEVER
+        many = f" for {self.skipped[name]} steps" if told else ""
         saved = self.usual.get(name, 0.0) - took
         return f"{many}; saves {saved:.2g} ms per step" if saved > 0.01 else many
 
@@ -314,7 +333,7 @@ def _why_off(effect: Effect) -> str:
 
 def _springs(springs: Springs, report: StepReport) -> str:
     if not springs.acts:
-        return "skipped: their stiffness is zero"
+        return SLACK
     words = "ran"
     if springs.kind.wrong:
         words = f"ran, wrong on purpose: {springs.kind.wrong}"
@@ -392,7 +411,7 @@ def _obstacles(settings: Settings, report: StepReport, obstacles: Sequence[str])
     if settings.contact == "none":
         return "off: contact is none"
     if not obstacles:
-        return "skipped: there are none"
+        return NO_OBSTACLES
     near = sum(_near(report, label) for label in obstacles)
     if not near:
         return "skipped: none within reach"
@@ -417,7 +436,7 @@ def _collision(name: str, settings: Settings, model: Model, report: StepReport) 
     if not len(model.mesh.edges):
         return "off: no edges"
     if name == "cloth_collision" and not model.mesh.several:
-        return "skipped: there is one piece"
+        return ONE_PIECE
     if name not in report.looked and state(name, settings) != "on":
         return "skipped: nothing within reach"
     words = _pairs(name, report)
@@ -432,7 +451,7 @@ def _edge_edge(settings: Settings, model: Model, report: StepReport, felt: bool)
     if settings.contact == "none":
         return "off: contact is none"
     if not (_meets_cloth(settings, model) or felt):
-        return "skipped: there is nothing to meet"
+        return ALONE
     if "edge_edge" not in report.looked and settings.edge_edge != "on":
         return "skipped: no edge within reach of another"
     return _pairs("edge_edge", report)
@@ -446,7 +465,7 @@ def _continuous(settings: Settings, model: Model, report: StepReport, felt: bool
     if settings.contact == "none":
         return "off: contact is none"
     if not (felt or _meets_cloth(settings, model)):
-        return "skipped: there is nothing to meet"
+        return ALONE
     if report.sweeps or report.near_obstacles:
         return f"ran: {report.hits} kept from meeting" if report.hits else "ran"
     return "skipped: all goes less far than half the way to what is nearest"

@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sim.accounts import DISSIPATED, INJECTED
 from sim.contact.contacts import Contacts, along
 from sim.contact.friction import rub
 from sim.contact.response import project
@@ -46,9 +47,6 @@ if TYPE_CHECKING:
     from sim.contact.gap import GapSprings
     from sim.integrators import State
     from sim.model import Model
-
-DISSIPATED = ("damping", "friction", "contact", "strain limiting", "linearisation", "integrator", "sleep")
-INJECTED = ("settings", "wind", "obstacles", "switched springs", "wrong springs")
 
 Account = dict[str, float]
 

@@ -299,6 +299,11 @@ def distinct_edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarr
     return np.stack([low[first], high[first]], axis=1).astype(np.int32)
 
 
+def sides_of(triangles: np.ndarray, n: int) -> np.ndarray:
+    """(e, 2) int64 every side of the triangles (m, 3) once, by its lower and then its higher vertex of n."""
+    return distinct_edges(triangles.astype(np.int64), np.zeros((0, 2), dtype=np.int64), n).astype(np.int64)
+
+
 def build_hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """Inner edges with their two opposite vertices; edges of three or more triangles are left out."""
     start = triangles.ravel()

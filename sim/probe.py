@@ -35,6 +35,9 @@ FRAME = 1 / 60
 REFINED = (2, 4, 8, 16)
 """Times that the step of a finer run is shorter."""
 
+QUICK = REFINED[1]
+"""The finest of a quick measurement, which has a fifth of the steps: the least that has a floor."""
+
 ACCELERATION = 0.1
 """Error of acceleration [m/s²] that a solve of the finer run may leave, a hundredth of the earth's.
 
@@ -69,7 +72,7 @@ class LocalError:
         seconds: Length of the frame [s].
         ms: Milliseconds of the frame with the settings.
         inside: Most vertices inside an obstacle after a step of it.
-        took: What the measurement took [s], finer runs and all.
+        took: Processor time of the measurement [s], finer runs and all, in the thread that measured.
     """
 
     error: float
@@ -114,30 +117,40 @@ class Probe:
         self._length = size(world)
         world.keep_ledger(False)
 
-    def measure(self, state: Snapshot) -> LocalError:
+    def measure(self, state: Snapshot, finest: int = REFINED[-1]) -> LocalError:
         """The local error at a state of the settings that hold there.
+
+        Args:
+            state: Where to begin.
+            finest: Of REFINED, where to stop though the error may not be known to a tenth.
 
         Raises:
             StepError: where a step could not be done, of the frame or of the finer runs.
         """
-        begin = time.perf_counter()
+        begin = time.thread_time()
         settings = state.ramp.target
         steps = _steps(settings, max(FRAME, settings.dt))
         reports, end = self._go(state, {}, steps)
-        truth = self.truth(state, settings, steps * settings.dt, end)
-        return replace(self._found(reports, end, truth), took=time.perf_counter() - begin)
+        truth = self.truth(state, settings, steps * settings.dt, end, finest)
+        return replace(self._found(reports, end, truth), took=time.thread_time() - begin)
 
     def truth(
-        self, state: Snapshot, settings: Settings, seconds: float, end: np.ndarray | None = None
+        self,
+        state: Snapshot,
+        settings: Settings,
+        seconds: float,
+        end: np.ndarray | None = None,
+        finest: int = REFINED[-1],
     ) -> Truth:
         """Where a frame of about `seconds` [s] leads from a state, with the physics of `settings`.
 
         The frame has a whole number of steps of settings.dt. Where the `end` (n, 3) [m] is given that some
-        settings lead to, it is only made as fine as is needed to tell their error.
+        settings lead to, it is only made as fine as is needed to tell their error; and never finer than
+        `finest`.
         """
         steps, floor = _steps(settings, seconds), math.inf
         now = self._finer(state, settings, REFINED[0], steps)
-        for finer in REFINED[1:]:
+        for finer in REFINED[1 : REFINED.index(finest) + 1]:
             before, now = now, self._finer(state, settings, finer, steps)
             floor = self._apart(now, before)
             if end is not None and MARGIN * floor <= max(self._apart(end, now), ROUNDING):

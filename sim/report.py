@@ -29,7 +29,7 @@ class StepReport:
     """What one step did.
 
     Attributes:
-        ms: Milliseconds by phase, and "total".
+        ms: Milliseconds by phase, what is between phases as "rest", and all of the step as "total".
         iterations: Of the linear solver.
         newton: Newton iterations.
         residual: Estimated position error, at the worst vertex, that the last linear solve left [m].
@@ -122,6 +122,11 @@ class StepReport:
             yield
         finally:
             self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (time.perf_counter() - begin)
+
+    def close(self, begin: float) -> None:
+        """Have the total be all time since `begin` [s], and what no phase counts be the phase "rest"."""
+        whole = 1e3 * (time.perf_counter() - begin)
+        self.ms |= {"rest": whole - self.ms.get("total", 0.0), "total": whole}
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:

@@ -308,7 +308,7 @@ def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:
     try:
         path = find_scene(where)
         if path.exists() and not path.is_file():  # a folder, or a pipe that would be waited for
-            raise SceneError(f"{where}: cannot be read: expected a regular file")
+            raise OSError("expected a regular file")
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:

@@ -666,14 +666,21 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
+def quotient(text: str) -> float:
+    """A number as people type it: 0.02, 1e-3 or 1/60; ValueError or ZeroDivisionError for others."""
+    above, slash, below = text.partition("/")
+    return float(above) / float(below) if slash else float(above)
+
+
 def parse(name: str, text: str) -> Any:
     """The value that `text`, as typed on a command line in `name=text`, means for setting `name`."""
     if name not in FIELDS or FIELDS[name].type in ("choice", "text"):
         return convert(name, text)
     several = FIELDS[name].type == "vector"
+    parts = text.strip("()[] ").split(",") if several else [text]
     try:
-        value = json.loads(f"[{text.strip('()[] ') if several else text}]")
-    except ValueError:
+        value = [quotient(part) if "/" in part else json.loads(part) for part in parts]
+    except (ValueError, ZeroDivisionError):
         value = []
     if len(value) != (3 if several else 1):
         raise ValueError(FIELDS[name].refusal(text))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from sim.contact.broad import CandidateError
 from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
+from sim.crossings import Crossings
 from sim.effects import Told, check_obstacles, chosen, effects_with, state
 from sim.integrators import INTEGRATORS, State
 from sim.ledger import Books, Ledger, Tally
@@ -93,6 +95,7 @@ class Simulation:
         self._limit: float | None = None
         self._books: Books | None = None
         self._edges: Limit | None = None
+        self._crossings = Crossings(self.mesh, self.contact.obstacles)
         self._told = Told()
         self._rest = Rest(self.mesh.parts, float(np.ptp(self.mesh.rest_vertices, axis=0).max()))
         self._last = StepReport()
@@ -199,7 +202,7 @@ class Simulation:
 
         What is not felt counts, too. Layers that have passed through each other completely leave none.
         """
-        return self.contact.crossings(self._time, self._positions)
+        return self._crossings.count(self._time, self._positions)
 
     def stability_limit(self) -> float:
         """The longest step [s] for which symplectic Euler is stable about the present state."""
@@ -322,11 +325,12 @@ class Simulation:
         Raises:
             StepError: where the step cannot be done; the state is as it was.
         """
-        report, ramp, injected, still = StepReport(), self._ramp, self._injected, self._rest.still
+        begin, report = perf_counter(), StepReport()
+        ramp, injected, still = self._ramp, self._injected, self._rest.still
         if self.sleeping.any():
             self._rest.rouse(self._driven(self._time))
         if self.asleep:
-            return self._sleep()
+            return self._sleep(begin)
         self.model.hold(self.sleeping)
         self.model.costs = report.costs
         try:
@@ -357,6 +361,7 @@ class Simulation:
             if self.settings.sleep == "auto":
                 self._settle(*before, report)
             report.effects = self._effects(report)
+        report.close(begin)
         self._last = report
         return report
 
@@ -386,8 +391,8 @@ class Simulation:
         if self._books is not None:
             self._books = self._books.asleep(report.discarded)
 
-    def _sleep(self) -> StepReport:
-        """Let time pass."""
+    def _sleep(self, begin: float) -> StepReport:
+        """Let time pass, in a step that began at `begin` [s]."""
         report = replace(self._last, ms=dict.fromkeys(self._last.ms, 0.0), costs={}, asleep=True)
         report.iterations = report.newton = report.energy_jumps = 0
         report.moved = report.discarded = report.wind_work = 0.0
@@ -395,6 +400,7 @@ class Simulation:
         with report.phase("report"):
             self._time += self.settings.dt
             report.effects = self._told.asleep(self.settings, self.scene.obstacle_labels)
+        report.close(begin)
         return report
 
     def _advance(self, report: StepReport) -> tuple[Solution, Touch]:

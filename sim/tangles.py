@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.effects import feels_cloth
-from sim.mesh import Mesh, distinct_edges, elements
+from sim.mesh import Mesh, elements, sides_of
 from sim.scene import SceneError
 from sim.settings import Settings
 
@@ -48,7 +48,8 @@ class Surfaces(NamedTuple):
     """Cloth, and behind it mesh obstacles, as triangles of one set of vertices.
 
     Attributes:
-        triangles: (m, 3) int vertex numbers.
+        triangles: (m, 3) int64 vertex numbers.
+        edges: (e, 2) int64 their sides, each once.
         free: (n,) bool, which vertices may move.
         cloth: How many vertices, the first ones, are cloth.
         piece: (n,) the piece of cloth that each vertex is of, negative for those of obstacles.
@@ -58,6 +59,7 @@ class Surfaces(NamedTuple):
     """
 
     triangles: np.ndarray
+    edges: np.ndarray
     free: np.ndarray
     cloth: int
     piece: np.ndarray
@@ -112,7 +114,8 @@ def _surfaces(mesh: Mesh, cloth: np.ndarray, obstacles: np.ndarray, within: bool
     piece = np.concatenate([mesh.pieces, np.full(int(obstacles.max(initial=-1)) + 1, -1)])
     free = piece >= 0
     free[mesh.pinned] = False
-    return Surfaces(np.concatenate([cloth, obstacles + n]), free, n, piece, within, between, mesh.axis)
+    triangles = np.ascontiguousarray(np.concatenate([cloth, obstacles + n]), dtype=np.int64)
+    return Surfaces(triangles, sides_of(triangles, len(piece)), free, n, piece, within, between, mesh.axis)
 
 
 def refuses(settings: Settings) -> bool:
@@ -183,10 +186,10 @@ def untangle(x: np.ndarray, surfaces: Surfaces) -> Untangled:
     if not len(found):
         return Untangled(start, first, first, 0.0)
     smooth, x = _smoother(surfaces), x.copy()
-    ends = x[_edges(surfaces)]
+    ends = x[surfaces.edges]
     typical = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
     for _ in range(MOST_ROUNDS):
-        length, gradient = contour(x, surfaces.triangles, found)
+        length, gradient = contour(x, surfaces.triangles, surfaces.edges, found)
         if surfaces.axis is not None:
             gradient[:, surfaces.axis] = 0.0
         way = smooth(gradient)
@@ -200,19 +203,21 @@ def untangle(x: np.ndarray, surfaces: Surfaces) -> Untangled:
     return Untangled(start, first, _pairs(found, surfaces), 0.0)
 
 
-def contour(x: np.ndarray, triangles: np.ndarray, crossings: np.ndarray) -> tuple[float, np.ndarray]:
+def contour(
+    x: np.ndarray, triangles: np.ndarray, edges: np.ndarray, crossings: np.ndarray
+) -> tuple[float, np.ndarray]:
     """The length [m] of the contour along which triangles cross, and its gradient (n, 3).
 
     Args:
         x: (n, 3) positions [m].
         triangles: (m, 3) vertex numbers.
+        edges: (e, 2) their sides.
         crossings: (p, 2) [edge, triangle], as `sim.intersections` gives them.
 
     A segment is where two triangles cross. Each end of it is where a side of one meets the other, at X, or a
     corner that both share. A side of direction E that moves by δ beside a triangle of normal n moves X by
     δ − E (n · δ) / (n · E) beside it.
     """
-    edges = _sides(triangles, len(x))
     i, j = edges[crossings[:, 0]].T
     corners = triangles[crossings[:, 1]]
     a, b, c = x[corners].transpose(1, 0, 2)
@@ -248,21 +253,13 @@ def contour(x: np.ndarray, triangles: np.ndarray, crossings: np.ndarray) -> tupl
 
 def crossings(x: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     """(p, 2) [edge, triangle] that cross, obstacles among themselves and what is not asked for left out."""
-    from sim.contact.intersections import intersections  # Numba, which `muslin check` does without
+    from sim.contact.intersections import crossing  # Numba, which `muslin check` does without
 
-    found = intersections(x, surfaces.triangles)
-    if not len(found):
-        return found
-    edges, corners = _edges(surfaces)[found[:, 0], 0], surfaces.triangles[found[:, 1], 0]
+    if not len(surfaces.triangles):
+        return np.zeros((0, 2), dtype=np.int64)
+    found = crossing(np.ascontiguousarray(x, dtype=float), surfaces.edges, surfaces.triangles)
+    edges, corners = surfaces.edges[found[:, 0], 0], surfaces.triangles[found[:, 1], 0]
     return found[surfaces.counts(edges, corners)]
-
-
-def _edges(surfaces: Surfaces) -> np.ndarray:
-    return _sides(surfaces.triangles, len(surfaces.free))
-
-
-def _sides(triangles: np.ndarray, n: int) -> np.ndarray:
-    return distinct_edges(triangles.astype(np.int64), np.zeros((0, 2), dtype=np.int64), n)
 
 
 def _beside(triangles: np.ndarray, edges: np.ndarray, crossings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -279,7 +276,7 @@ def _beside(triangles: np.ndarray, edges: np.ndarray, crossings: np.ndarray) -> 
 
 def _pairs(crossings: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     """(p, 2) the triangles that cross where edges and triangles do, each pair once."""
-    which, triangle = _beside(surfaces.triangles, _edges(surfaces), crossings)
+    which, triangle = _beside(surfaces.triangles, surfaces.edges, crossings)
     pairs = np.sort(np.stack([triangle, crossings[which, 1]], axis=1), axis=1)
     return np.unique(pairs, axis=0)
 
@@ -326,7 +323,7 @@ def _smoother(surfaces: Surfaces) -> Callable[[np.ndarray], np.ndarray]:
     from scipy.sparse import coo_array, csr_array, diags_array
     from scipy.sparse.linalg import splu
 
-    edges, free = _edges(surfaces), surfaces.free
+    edges, free = surfaces.edges, surfaces.free
     n, rows = len(free), np.concatenate([edges[:, 0], edges[:, 1]])
     columns = np.concatenate([edges[:, 1], edges[:, 0]])
     links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)).tocsr()

@@ -31,6 +31,7 @@ from sim.settings import Settings
 from sim.simulation import Simulation
 from sim.solve.implicit import FILTERED, Solution
 from sim.springs.build import kernel_of, kinds_in_force
+from sim.tangles import refuses
 
 Progress = Callable[[int, int, str], None]
 
@@ -52,6 +53,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     meshes = any(isinstance(part, ShellFile | ShellArrays) for part in scene.obstacle)
     felt = feels_obstacles(s, scene.obstacle_labels)
     touches = s.contact != "none" and (feels_cloth(s, len(scene.cloth) > 1) or (felt and meshes))
+    looks = touches and (s.tangled == "untangle" or refuses(s))  # for what crosses at the start
     settings = {
         "bend": s.bend,
         "adhoc_rule": s.adhoc_rule,
@@ -64,6 +66,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         "drag": s.drag,
         "strain_limit": s.strain_limit,
         "solver": "cg",
+        "tangled": s.tangled if looks else "keep",
     }
     for effect, value in OPTIONAL.items():
         if getattr(s, value) > 0.0:
@@ -83,7 +86,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         if name.endswith("curvature"):
             return exact and module in {"sim.solve.system", *(kind.module for kind in kinds)}
         if module == intersections.__name__:
-            return True
+            return looks
         if module.startswith("sim.springs."):
             return kernel in rules
         if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:
@@ -100,7 +103,6 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     ):
         world = Simulation(small)
         _touch(world)
-        world.crossings()
         world.keep_ledger()  # which has no kernels of its own, but calls some that a linearised step does not
         world.step()
         if exact:

@@ -159,6 +159,9 @@ def test_check_warns_of_cloth_that_starts_in_an_obstacle(tmp_path, small):
         (["--prot", "3"], 2, "lab: Unrecognized options: --prot, 3; see muslin lab --help"),
         (["--port", "99999"], 1, "--port: expected 0 to 65535, got 99999"),
         (["--scene", "nowhere"], 1, "nowhere: cannot be read: No such file or directory"),
+        (["check", "."], 1, ".: cannot be read: expected a regular file\n"),
+        (["run", "drape", "--set", "dt=1/0"], 1, "dt: expected ≥ 1e-06 and ≤ 1, got '1/0'"),
+        (["run", "drape", "--set", "newton=3/2"], 1, "newton: expected"),
         (["run"], 2, "run: Missing from muslin run: SCENE"),
         (["run", "nowhere"], 1, "nowhere: cannot be read: No such file or directory"),
         (["run", "drape", "--seconds", "q"], 2, "run: Error parsing --seconds: could not convert"),
@@ -197,6 +200,11 @@ def test_a_refusal_of_the_command_itself_has_no_traceback():
     done = muslin("run", "drape", "--set", "gamma=-1")
     assert done.returncode == 1
     assert done.stderr == "muslin: gamma: expected ≥ 0 and ≤ 1000, got -1\n"
+
+
+def test_numbers_may_be_quotients_as_lessons_have_them():
+    told = {"dt": 1 / 240, "gravity": (0.0, 0.0, -4.905)}
+    assert parse_settings(["dt=1/240", "gravity=0,0,-9.81/2"]) == told
 
 
 def test_settings_may_be_given_together_or_one_by_one():

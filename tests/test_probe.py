@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sim
-from sim.probe import FRAME, Probe
+from sim.probe import FRAME, QUICK, REFINED, Probe
 from tests.worlds import ball, chain, grid, scene
 
 G = 9.81
@@ -105,6 +105,20 @@ def test_the_floor_says_how_far_the_finer_run_may_be_off():
     away = probe._apart(truth.positions, world.positions)
     assert 0.0 < away <= UNEVEN * truth.floor
     assert probe.error(state, {}, truth).error > 2.0 * away
+
+
+def test_a_quick_measurement_stops_at_a_run_that_is_less_fine_and_says_how_vague_it_is(monkeypatch):
+    world, steps = landing(), []
+    probe, state = probe_of(world), world.snapshot()
+    step = sim.Simulation.step
+    monkeypatch.setattr(sim.Simulation, "step", lambda self: steps.append(self) or step(self))
+    whole, of_whole = probe.measure(state), len(steps)
+    quick = probe.measure(state, QUICK)
+    assert (of_whole, len(steps) - of_whole) == (1 + sum(REFINED), 1 + 2 + QUICK)
+    assert not quick.sure
+    assert quick.floor > whole.floor
+    assert abs(quick.error - whole.error) <= UNEVEN * quick.floor
+    assert quick.took < 0.6 * whole.took
 
 
 def test_what_is_not_known_well_enough_says_so():

@@ -3,6 +3,7 @@
 import hashlib
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -233,6 +234,19 @@ def test_the_report_says_what_ran_and_why_not():
     assert report.effects["damping"].startswith("off")
     assert report.effects["contact"].startswith("off")
     assert report.effects["stretch"] == "ran"
+    assert report.ms["total"] == pytest.approx(sum(v for k, v in report.ms.items() if k != "total"))
+
+
+def test_the_total_is_all_of_a_step_and_what_no_phase_counts_is_the_rest(monkeypatch):
+    world = sim.Simulation(scene(grid(), gravity=[0, 0, -9.81], drag=1.2))
+    world.step()
+    longest_way = type(world)._longest_way
+    monkeypatch.setattr(type(world), "_longest_way", lambda *about: time.sleep(0.02) or longest_way(*about))
+    begin = time.perf_counter()
+    report = world.step()
+    wall = 1e3 * (time.perf_counter() - begin)
+    assert 20.0 < report.ms["rest"] < report.ms["total"] <= wall
+    assert report.ms["total"] == pytest.approx(wall, abs=1.0)
     assert report.ms["total"] == pytest.approx(sum(v for k, v in report.ms.items() if k != "total"))
 
 

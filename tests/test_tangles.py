@@ -153,13 +153,13 @@ def across(x, plate, triangles):
 def test_the_gradient_of_the_contour_is_the_slope_of_its_length(monkeypatch):
     monkeypatch.setattr(tangles, "GRAZING", 0.0)  # below it the gradient is bounded on purpose
     world = sim.Simulation(poked(tangled="keep", jitter=1e-3))
-    x, triangles = world.positions, world.triangles
-    found = sim.intersections(x, triangles)
-    length, gradient = contour(x, triangles, found)
+    x, mesh = world.positions, (world.triangles, world.edges)
+    found = sim.intersections(x, world.triangles)
+    length, gradient = contour(x, *mesh, found)
     assert length > 0.1
     rng = np.random.default_rng(0)
     for _ in range(5):
         way, h = rng.standard_normal(x.shape), 1e-8
-        ahead, behind = (contour(x + s * h * way, triangles, found)[0] for s in (1.0, -1.0))
+        ahead, behind = (contour(x + s * h * way, *mesh, found)[0] for s in (1.0, -1.0))
         # Rounding of two lengths of some metres, and the third derivative at crossings of about 0.1 rad.
         assert (ahead - behind) / (2 * h) == pytest.approx(float((gradient * way).sum()), rel=1e-4)

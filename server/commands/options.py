@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
@@ -47,6 +47,11 @@ class Workers:
     """Processes for runs that are not timed; as many as there are cores if 0."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """A Dask scheduler for these instead, such as tcp://10.0.0.1:8786; needs the extra `cluster`."""
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """As studies take it."""
+        return {"jobs": self.jobs or None, "cluster": self.cluster}
 
 
 def parse_settings(texts: list[str]) -> dict[str, object]:

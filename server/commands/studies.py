@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -18,6 +19,11 @@ from server.commands.options import (
     parse_values,
     scene_and_settings,
 )
+
+if TYPE_CHECKING:
+    from server.pages import Report
+
+Progress = Callable[[float, str], None]
 
 
 @dataclass(kw_only=True)
@@ -43,7 +49,7 @@ class Cost:
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from server.cost import print_schema, run_study
+        from server.cost import print_schema
 
         if self.schema:
             return print_schema("cost")
@@ -56,20 +62,10 @@ class Cost:
             from sim.studies.cost.study import cost
 
             effort = QUICK if self.quick else FULL if self.full else USUAL
-            about = (
-                overrides,
-                self.seconds,
-                effort,
-                self.target,
-                progress,
-                self.workers.jobs or None,
-                self.workers.cluster,
-            )
-            return cost(scene, *about)
+            about = overrides, self.seconds, effort, self.target, progress
+            return cost(scene, *about, **self.workers.asked)
 
-        options = {"seconds": self.seconds, "target": self.target, "quick": self.quick, "full": self.full}
-        command = command_of("cost", self.scene, self.overrides, **options)
-        return run_study(measure, command, self.files.json, self.files.html, self.files.plots)
+        return _measured(self, measure, target=self.target, quick=self.quick, full=self.full)
 
 
 @dataclass(kw_only=True)
@@ -93,7 +89,7 @@ class Compare:
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from server.cost import print_schema, run_study
+        from server.cost import print_schema
 
         if self.schema:
             return print_schema("compare")
@@ -103,20 +99,11 @@ class Compare:
         def measure(progress):
             from sim.studies.cost.compare import compare
 
-            about = (
-                overrides,
-                self.seconds,
-                self.repeats,
-                progress,
-                self.workers.jobs or None,
-                self.workers.cluster,
-            )
-            return compare(scene, name, values, *about)
+            about = overrides, self.seconds, self.repeats, progress
+            return compare(scene, name, values, *about, **self.workers.asked)
 
         by = self.by or f"{name}={','.join(map(str, values))}"
-        options = {"by": by, "seconds": self.seconds, "repeats": self.repeats}
-        command = command_of("compare", self.scene, self.overrides, **options)
-        return run_study(measure, command, self.files.json, self.files.html, self.files.plots)
+        return _measured(self, measure, by=by, repeats=self.repeats)
 
 
 @dataclass(kw_only=True)
@@ -137,7 +124,7 @@ class Audit:
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from server.cost import print_schema, run_study
+        from server.cost import print_schema
 
         if self.schema:
             return print_schema("audit")
@@ -148,9 +135,16 @@ class Audit:
 
             return audit(scene, overrides, self.seconds, self.tolerance, progress)
 
-        options = {"seconds": self.seconds, "tolerance": self.tolerance}
-        command = command_of("audit", self.scene, self.overrides, **options)
-        return run_study(measure, command, self.files.json, self.files.html, None)
+        return _measured(self, measure, tolerance=self.tolerance)
+
+
+def _measured(asked: Cost | Compare | Audit, measure: Callable[[Progress], Report], **options: object) -> int:
+    """Measure what is asked for, print it and write its files; `options` are those besides the time."""
+    from server.cost import run_study
+
+    name, options = type(asked).__name__.lower(), {"seconds": asked.seconds, **options}
+    command = command_of(name, asked.scene, asked.overrides, **options)
+    return run_study(measure, command, **vars(asked.files))
 
 
 @dataclass(kw_only=True)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compiled import cross, dot, inner, kernel, row, sub
-from sim.mesh import distinct_edges
+from sim.mesh import sides_of
 
 APART, UNSURE, CROSSING = 0, 1, 2
 
@@ -56,11 +56,21 @@ def intersections(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     x, corners = _checked(positions, triangles)
     if len(corners) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    edges = distinct_edges(corners, np.zeros((0, 2), dtype=np.int64), len(x)).astype(np.int64)
-    pairs, crossing = _candidates(x, edges, corners)
-    for k in np.flatnonzero(~crossing):
-        crossing[k] = _meet(x[edges[pairs[k, 0]]], x[corners[pairs[k, 1]]])
-    pairs = pairs[crossing]
+    return crossing(x, sides_of(corners, len(x)), corners)
+
+
+def crossing(x: np.ndarray, edges: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """`intersections`, where nothing is wrong with what is given, and the `edges` are listed already.
+
+    Args:
+        x: (n, 3) float64 [m], finite.
+        edges: (e, 2) int64 sides of the triangles, as `sim.mesh.sides_of` gives them.
+        triangles: (m, 3) int64, contiguous; one at least.
+    """
+    pairs, sure = _candidates(x, edges, triangles)
+    for k in np.flatnonzero(~sure):
+        sure[k] = _meet(x[edges[pairs[k, 0]]], x[triangles[pairs[k, 1]]])
+    pairs = pairs[sure]
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from sim.compiled import Vec3, dot, inner, row
 from sim.effects import felt_obstacles, single_obstacles
-from sim.mesh import distinct_edges
+from sim.mesh import sides_of
 from sim.placement import pose
 from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
 from sim.settings import Settings
@@ -172,8 +172,7 @@ def _joined(shells: Sequence[Shell | None]) -> Solid:
             part.append(np.full(len(shell.vertices), o))
             first += len(shell.vertices)
     corners = np.concatenate(triangles)
-    edges = distinct_edges(corners, np.zeros((0, 2), dtype=np.int64), first).astype(np.int64)
-    return Solid(np.concatenate(vertices), corners, edges, np.concatenate(part))
+    return Solid(np.concatenate(vertices), corners, sides_of(corners, first), np.concatenate(part))
 
 
 @inner

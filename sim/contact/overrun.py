@@ -16,9 +16,9 @@ import numpy as np
 
 from sim.contact.contacts import NOT_OVER
 from sim.contact.faces import overlapping
-from sim.contact.intersections import intersections
+from sim.contact.intersections import crossing
 from sim.contact.obstacles import MESH, Obstacles, Poses
-from sim.mesh import Mesh, distinct_edges, elements
+from sim.mesh import Mesh, elements, sides_of
 
 
 def joined(over: np.ndarray, more: np.ndarray) -> np.ndarray:
@@ -63,8 +63,8 @@ def _crossing(
     n, solid = len(positions), obstacles.solid
     theirs = solid.triangles[solid.part[solid.triangles[:, 0]] == o] + n
     every = np.concatenate([faces, theirs]).astype(np.int64)
-    found = intersections(np.concatenate([positions, obstacles.corners(poses)]), every)
-    edges = distinct_edges(every, np.zeros((0, 2), dtype=np.int64), n + len(solid.vertices))
+    edges = sides_of(every, n + len(solid.vertices))
+    found = crossing(np.concatenate([positions, obstacles.corners(poses)]), edges, every)
     sides, corners = edges[found[:, 0]], every[found[:, 1]]
     of_side, of_face = sides[:, 0] < n, corners[:, 0] < n
     return np.unique(np.concatenate([sides[of_side & ~of_face].ravel(), corners[~of_side & of_face].ravel()]))

@@ -39,7 +39,6 @@ from sim.report import StepReport
 from sim.scene import Scene
 from sim.settings import Settings
 from sim.solve.implicit import Solution
-from sim.tangles import Surfaces, all_surfaces, crossings
 
 MOST_SOLVES = 3
 """Solves of one step at most: one more where a solve led vertices into contacts that it did not feel."""
@@ -203,18 +202,6 @@ class Pipeline:
         if near.any():
             deepest(shapes.only(near), poses, positions, depths)
         return depths
-
-    @cached_property
-    def _surfaces(self) -> Surfaces:
-        return all_surfaces(self._model.mesh, self.obstacles.solid.triangles)
-
-    def crossings(self, time: float, positions: np.ndarray) -> int:
-        """How many edges of cloth and mesh obstacles go through triangles of cloth or of the other at `time`.
-
-        What is not felt counts, too. Layers that have passed through each other completely leave none.
-        """
-        corners = self.obstacles.corners(self.obstacles.poses(time))
-        return len(crossings(np.concatenate([positions, corners]), self._surfaces))
 
     def _near(self, way: _Way, end: np.ndarray) -> Shapes | None:
         """The obstacles but meshes that may act on the way to `end`, if any; meshes are among the pairs."""

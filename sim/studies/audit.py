@@ -41,7 +41,10 @@ ROUNDING = 1e-11
 """Relative distance that rounding alone may make: what changes no more than that changes nothing."""
 
 SLOWER = 0.1
-"""Part of a step by which one without an effect must be slower for that to be no noise."""
+"""Part of a step by which one without an effect must be slower, and by more than noise, for that to count."""
+
+OUTLIERS = 0.1
+"""Part of all steps, at either end, that costs leave out: a computer has other things to do now and then."""
 
 FINER = 2
 """Parts of a step that the numerical error is told by."""
@@ -76,7 +79,7 @@ class _Seen:
 
     influence: list[float] = field(default_factory=list)
     ratio: list[float] = field(default_factory=list)
-    ms: list[float] = field(default_factory=list)
+    ms: list[list[float]] = field(default_factory=list)
     worse: bool = False
 
 
@@ -126,6 +129,7 @@ class _Audit:
             told,
         )
         self.base: list[_Way] = []
+        self.again: list[_Way] = []
         self.error: list[float] = []
         self.effects = effects_with(scene.obstacle_labels)
         self.seen = {name: _Seen() for name in self.effects}
@@ -151,6 +155,7 @@ class _Audit:
             settings=self.settings,
             tolerance=self.tolerance,
             numerical_error=max(self.error),
+            cost_noise=self._noise(),
             windows=len(self.error),
             ms=whole,
             effects=[self._effect(name) for name in self.effects],
@@ -187,8 +192,9 @@ class _Audit:
             moved = self._apart(way, as_is)
             found.influence.append(moved)
             found.ratio.append(0.0 if moved <= ROUNDING else moved / max(error, ROUNDING))
-            found.ms += way.ms
+            found.ms.append(way.ms)
             found.worse |= way.inside > as_is.inside or way.crossed > as_is.crossed
+        self.again.append(self._steps(start, {}, count))
         self.world.restore(end)
 
     def _steps(self, start: Snapshot, changes: dict[str, Any], count: int, every: int = 1) -> _Way:
@@ -225,10 +231,27 @@ class _Audit:
         return sum(word.startswith("ran") for word in words) / len(words)
 
     def _share(self, name: str) -> float:
-        """What a step with the effect costs more than without, as part of the step as it is."""
-        whole = median(ms for way in self.base for ms in way.ms)
-        other = median(self.seen[name].ms or [whole])
-        return (other - whole if self.now[name] == "off" else whole - other) / whole
+        """What a step with the effect costs more than without, as part of the step as it is.
+
+        Steps are compared with those of the same moment: what contact there is makes more of a difference.
+        """
+        rows = [
+            (0.5 * (first + last), other)
+            for way, again, others in zip(self.base, self.again, self.seen[name].ms, strict=True)
+            for first, last, other in zip(way.ms, again.ms, others, strict=False)  # it may have stopped
+        ]
+        if not rows:
+            return 0.0
+        as_is, other = np.array(rows).T
+        more = _trimmed(as_is - other).mean() / _trimmed(as_is).mean()
+        return float(-more if self.now[name] == "off" else more)
+
+    def _noise(self) -> float:
+        """How far costs are off, as part of a step: by what two runs of the same steps differ in time."""
+        first, last = (np.array([ms for way in ways for ms in way.ms]) for ways in (self.base, self.again))
+        apart = _trimmed(first - last)
+        spread = 2.0 * float(apart.std()) / math.sqrt(len(apart))
+        return max(abs(float(apart.mean())), spread) / float(_trimmed(first).mean())
 
     def _effect(self, name: str) -> AuditedEffect:
         seen, reports = self.seen[name], [report for way in self.base for report in way.reports]
@@ -258,7 +281,7 @@ class _Audit:
             if self.now[name] != "off" and self._runs(name) > 0.0 and not seen.worse
         ]
         left = [name for name in left if max(self.seen[name].influence) < self.tolerance]
-        left = [name for name in left if self._share(name) > -SLOWER]
+        left = [name for name in left if self._share(name) > -max(SLOWER, self._noise())]
         left.sort(key=lambda name: max(self.seen[name].influence))
         as_is = self._steps(start, {}, self.steps)
         while left:
@@ -280,6 +303,12 @@ class _Audit:
         return f"# audit over {about}: {figures}\n" + tomli_w.dumps({"effects": dict.fromkeys(left, "off")})
 
 
+def _trimmed(values: np.ndarray) -> np.ndarray:
+    """Values without the OUTLIERS at either end."""
+    few = int(OUTLIERS * len(values))
+    return np.sort(values)[few : len(values) - few]
+
+
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
@@ -289,8 +318,9 @@ NOTES = (
     "its diagonal, after any step of a window; the numerical error is what half the step does to the same.",
     f"An effect matters where it changes more than {CLEAR:g} numerical errors in some window, or keeps cloth "
     "out of something; it is below the numerical error where it changes less than one in all of them.",
-    "The cost of an effect is that of a step as things are less that of one without it, so that what it adds "
-    "to the solver's work counts, too; on a busy computer some per cent are noise, and may be negative.",
+    "The cost of an effect is that of a step as things are less that of one without it at the same moment, "
+    "so that what it adds to the solver's work counts, too. Its noise is what the same steps, made twice, "
+    "differ by: a cost that is smaller, or negative by so much, says nothing.",
     "Recommended to be off is what ran and changes less than the tolerance, all of it together over the "
-    "whole run; what never ran costs next to nothing and is left to auto, for the scene may change.",
+    "whole run; what never ran is left to auto, which goes on watching for it, for the scene may change.",
 )

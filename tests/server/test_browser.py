@@ -214,6 +214,28 @@ def test_another_setting_is_compared(lab, page):
     row(page, "● right").get_by_role("slider").wait_for()
 
 
+def test_the_key_for_help_says_how_to_read_the_page_and_what_keys_do(page):
+    page.evaluate("document.activeElement.blur()")  # keys that are typed into a box are no commands
+    page.keyboard.press("Shift+?")
+    page.get_by_text("How to read this page").wait_for()
+    words = page.locator(".mantine-Notification-description").last.inner_text().splitlines()
+    assert "space: Play or pause" in words
+    assert "?: Help" in words
+
+
+def test_on_a_phone_the_controls_leave_most_of_the_page_to_the_cloths(lab, page):
+    phone = page.context.browser.new_page(viewport={"width": 390, "height": 700})
+    visit(phone, lab)
+    slider = row(phone, "rest angle").get_by_role("slider")
+    slider.scroll_into_view_if_needed()
+    box = phone.locator('.mantine-Paper-root[style*="position: fixed"]').bounding_box()
+    assert (box["x"], box["width"]) == (0, 390)
+    assert box["y"] >= 0.59 * 700
+    assert slider.bounding_box()["x"] + slider.bounding_box()["width"] < 390
+    assert phone.errors == []
+    phone.close()
+
+
 ORANGE = """() => new Promise(done => {
     const image = new Image();
     const canvas = window.__viserMutable.canvas;

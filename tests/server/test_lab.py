@@ -266,6 +266,23 @@ def test_progress_of_compiling_is_shown_over_the_still(monkeypatch):
     lab.stop()
 
 
+def test_cloth_moves_before_what_counts_crossings_is_compiled(monkeypatch):
+    go_on = threading.Event()
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=lambda scene, progress: lambda: go_on.wait(20))
+    monkeypatch.setattr(FakeWorld, "crossings", lambda world: 7 if go_on.is_set() else 1 / 0)
+    lab.start()
+    client = RawClient(lab.url)
+    client.look()
+    wait_until(lambda: lab.frames and lab.frames[0].time > 0.2)
+    assert all(frame.crossings is None for frame in lab.frames)
+    lab.post(lab.pause)
+    wait_until(lambda: any(text.endswith("– crossings") for text in labels(client)))
+    go_on.set()
+    wait_until(lambda: any("▲ 7 crossings" in text for text in labels(client)), seconds=5)
+    client.close()
+    lab.stop()
+
+
 def test_compiler_that_fails_is_reported_and_the_page_lives():
     def prepare(scene, progress):
         raise RuntimeError("no compiler here")

@@ -1,18 +1,20 @@
 """What is said of each cloth, above it and in the tables beside it."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
+import sim
 from server.labels import label, wrong_on_purpose
 from server.lane import Frame
 from server.meter import Meter
 from server.tables import effects_table, sums_table, variant_table
 from sim import Settings
-from sim.effects import EFFECTS
+from sim.effects import EFFECTS, TOLD_BESIDES
 from sim.springs import BENDING
 
 
@@ -20,6 +22,9 @@ def meter(**frame):
     meter = Meter()
     meter.add(Frame(**frame))
     return meter
+
+
+BOOKED = ("injected", "dissipated")
 
 
 @pytest.fixture
@@ -61,7 +66,8 @@ def test_unstable_step_is_a_line_of_the_label_and_bold_in_the_table():
     shaky = meter(report=report({"gravity": "ran", "integrator": "unstable: dt is 10 ms"}))
     assert label("one", shaky)[0].split("\n")[-1] == "▲ unstable step"
     table = effects_table(["one"], [shaky])
-    assert '<tr class="bad" title=""><td>integrator</td><td></td><td>unstable: dt is 10 ms</td></tr>' in table
+    row = '"><td>integrator</td><td></td><td>unstable: dt is 10 ms</td></tr>'
+    assert f'<tr class="bad" title="{TOLD_BESIDES["integrator"]}{row}' in table
     assert table.count('class="bad"') == 1
 
 
@@ -137,6 +143,29 @@ def test_sizes_of_both_momenta_stand_under_the_energies():
 
 def test_no_momentum_is_claimed_before_there_is_a_simulation():
     assert sums_table(["one"], [meter()]) == ""
+
+
+@pytest.mark.parametrize("bend", list(BENDING))
+def test_every_energy_entry_and_effect_of_a_real_step_has_its_own_words(bend):
+    world = sim.Simulation("drape", bend=bend, altitudes="all", contact="impulse")
+    world.keep_ledger()
+    report, ledger = world.step(), world.ledger
+    everything = replace(ledger, **{part: dict.fromkeys(getattr(ledger, part), 1.0) for part in BOOKED})
+    full = meter(report=report, energy=world.energy(), ledger=everything, momentum=world.momentum())
+    rows = re.findall(r'title="(.+?)"><td class="dim">(.+?)</td>', sums_table(["one"], [full]))
+    assert len({words for words, _ in rows}) == len(rows) == len(world.energy()) + 17
+    stored = {title: words for words, title in rows}
+    assert stored[bend].startswith(f"Stored in {bend} springs: ")
+    hints = re.findall(r'<tr class="\w*" title="(.*?)"><td>', effects_table(["one"], [full]))
+    assert len(set(hints)) == len(hints) == len(report.effects)
+    assert "" not in hints
+
+
+def test_energies_and_effects_that_nobody_knows_are_an_error_and_no_spring():
+    with pytest.raises(KeyError, match="unheard"):
+        sums_table(["one"], [meter(energy={"unheard": 1.0})])
+    with pytest.raises(ValueError, match="unheard"):
+        effects_table(["one"], [meter(report=report({"unheard": "ran"}))])
 
 
 def test_stopped_variant_leaves_a_gap_in_plots():

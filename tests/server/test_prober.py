@@ -42,14 +42,15 @@ def rig(monkeypatch):
     """A prober whose measurements are numbers that the test says, and that are posted when it says so."""
     monkeypatch.setattr(server.prober, "SETTLE", 0.0)
     answers = []
-    rig = SimpleNamespace(errors=[], gate=threading.Event(), done=0, answers=answers, took=0.0)
+    rig = SimpleNamespace(errors=[], gate=threading.Event(), answers=answers, vague=False, quick=[])
 
-    def measure(probe, state):
+    def measure(probe, state, quick):
         rig.gate.wait(20)
+        rig.quick.append(quick)
         found = rig.errors.pop(0) if rig.errors else 1e-3
         if isinstance(found, Exception):
             raise found
-        return state, LocalError(found, 0.0, 1 / 60, 1.0, took=rig.took)
+        return state, LocalError(found, found / 2 if quick and rig.vague else 0.0, 1 / 60, 1.0)
 
     monkeypatch.setattr(server.prober, "_measure", measure)
     monkeypatch.setattr("sim.probe.Probe", lambda world, between: SimpleNamespace(between=between))
@@ -82,6 +83,68 @@ def test_every_variant_is_measured_first_and_then_only_as_often_as_lanes_paid_fo
         bench.step(0.5 * 1.01e3 / server.prober.SHARE)
         rig.prober.tick(bench, True)
     assert [lane.asked for lane in bench.lanes] == [2, 1], "both lanes' steps paid for one more"
+
+
+def test_every_variant_has_a_quick_reading_before_any_has_a_better_one_and_both_are_of_no_account(rig):
+    bench, seen = Bench(), []
+    rig.vague = True
+    rig.errors = [1e-3, 1e-3, 2e-3, 2e-3]
+    for _ in range(4):
+        rig.prober.tick(bench, True)
+        rig.answer()
+        seen.append(
+            [(reading.quick, reading.found and reading.found.error) for reading in rig.prober.readings]
+        )
+    assert rig.quick == [True, True, False, False]
+    assert [reading.better for reading in rig.prober.readings] == [False, False]
+    assert seen[1] == [(True, 1e-3), (True, 1e-3)]
+    assert seen[3] == [(False, 2e-3), (False, 2e-3)]
+    assert all(reading.trend == "" for reading in rig.prober.readings), "they were beside another run"
+    assert rig.prober.spent == 0.0
+    rig.prober.spent, rig.prober.stepped = 1.0, 0.0
+    rig.prober.tick(bench, True)
+    assert not rig.prober._busy, "from now on they are regular"
+    rig.errors = [3e-3, 4e-3, 9e-3, 3e-3, 3e-3]
+    for _ in range(3):
+        rig.prober.spent = -1.0
+        rig.prober.tick(bench, True)
+        rig.answer()
+    assert rig.quick[4:] == [True, True, True], "and quick, without a better one after them"
+    assert [(reading.quick, reading.trend) for reading in rig.prober.readings] == [(True, "↗"), (True, "")]
+    bench.playing = False
+    bench.lanes[0].frame = bench.lanes[1].frame = Frame(time=0.0)
+    for _ in range(2):
+        rig.prober.tick(bench, True)
+        rig.answer()
+    rig.prober.tick(bench, True)
+    assert not rig.prober._busy
+    assert rig.quick[7:] == [False, False], "in a pause they are measured better"
+
+
+def test_a_quick_reading_that_is_known_to_a_tenth_needs_no_better_one(rig):
+    bench = Bench()
+    rig.prober.spent = 1.0
+    for _ in range(2):
+        rig.prober.tick(bench, True)
+        rig.answer()
+    rig.prober.tick(bench, True)
+    assert rig.quick == [True, True]
+    assert not rig.prober._busy
+
+
+def test_what_regular_probes_spend_is_processor_time_which_is_all_that_lanes_feel(rig):
+    """A thread that stands back waits for long where others compute; here it only waits."""
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    rig.prober.tick(bench, True)
+    rig.answer()
+    rig.prober.spent = -1.0  # paid for
+    rig.gate.clear()
+    rig.prober.tick(bench, True)
+    threading.Event().wait(0.5)
+    rig.gate.set()
+    rig.answer()
+    assert 0.0 < rig.prober.spent + 1.0 < 0.25
 
 
 def test_nothing_is_measured_while_nobody_looks_or_one_is_being_measured(rig):
@@ -147,6 +210,9 @@ def test_a_frame_that_cannot_be_measured_says_why_and_is_tried_again(rig):
     rig.answer()
     assert "too far" in rig.prober.readings[0].why_not
     rig.prober.spent = -1.0
+    rig.prober.tick(bench, True)
+    assert bench.lanes[0].asked == 1, "but not over and over, which would fill the log"
+    rig.prober._failed -= server.prober.RETRY
     rig.prober.tick(bench, True)
     rig.answer()
     assert rig.prober.readings[0].found is not None

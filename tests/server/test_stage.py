@@ -82,23 +82,27 @@ def test_quaternion_turns_as_the_matrix_does(vector):
     assert pytest.approx(matrix, abs=1e-12) == np.array(turned).T
 
 
+@pytest.mark.parametrize("covered", [0.0, 0.4])
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.0])
-def test_camera_sees_every_variant(count, aspect):
+def test_camera_sees_every_variant_above_what_a_sheet_of_controls_covers(count, aspect, covered):
     scene = load_scene(SCENE)
     mesh = build_mesh(scene)
     framing = Framing(scene, mesh, count)
-    position, target = framing.camera(aspect, 0.6)
+    position, target = framing.camera(aspect, 0.6, covered)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
+    lowest = 2.0 * covered - 1.0
     for offset in framing.offsets:
         seen = mesh.vertices + offset - position
         depth = seen @ forward
         assert (depth > 0).all()
         assert (np.abs(seen @ right) <= depth * np.tan(0.3) * aspect * 1.001).all()
-        assert (np.abs(seen @ up) <= depth * np.tan(0.3) * 1.001).all()
+        heights = seen @ up / (depth * np.tan(0.3))
+        assert (heights <= 1.001).all()
+        assert (heights >= lowest - 0.001).all()
 
 
 CHAIN = {"vertices": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 0.0, 1.0]], "edges": [[0, 1], [1, 2]]}

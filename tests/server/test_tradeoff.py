@@ -1,11 +1,12 @@
 """The chart of error against cost, and what stands beside it."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from server.labels import error_text, label
+from server.labels import OLD, error_text, label
 from server.lane import Frame
 from server.meter import Meter
 from server.prober import MEASURING, NO_READING, Reading
@@ -66,6 +67,24 @@ def test_a_point_that_is_measured_anew_is_hollow_and_stays_where_it_was():
     assert before[2] != "#ffffff" == after[2]
 
 
+def test_a_first_reading_is_marked_as_such_and_an_old_one_says_of_when_it_is():
+    made = meter(6.1, Reading(LocalError(1e-3, 4e-4, 1 / 60, 1.0), quick=True, better=True))
+    chart = Tradeoff()
+    chart.add([made])
+    assert circles(chart.svg(["a"], [made]))[0][2] == "#ffffff"
+    assert label("a", made)[0] == "a\n6.1 ms · ≈ 0.1 %\n– crossings"
+    assert "A better one is on its way." in variant_table("", ["a"], [made])
+    made.reading = Reading(LocalError(1e-3, 4e-4, 1 / 60, 1.0), quick=True)
+    assert circles(chart.svg(["a"], [made]))[0][2] != "#ffffff"
+    assert "In a pause it is measured better." in variant_table("", ["a"], [made])
+    made.reading = Reading(LocalError(1e-3, 0.0, 1 / 60, 1.0), time=0.25)
+    made.latest = replace(made.latest, time=0.25 + OLD + 0.1)
+    assert label("a", made)[0] == "a\n6.1 ms · 0.1 %\nerror of 0.2 s\n– crossings"
+    assert re.search('class="dim" title="Of a frame from 0.25 s', variant_table("", ["a"], [made]))
+    made.latest = replace(made.latest, time=0.25 + OLD - 0.1)
+    assert label("a", made)[0] == "a\n6.1 ms · 0.1 %\n– crossings"
+
+
 def test_a_trail_leads_to_the_point_and_is_forgotten_after_a_while():
     chart = Tradeoff()
     for k in range(3 * TRAIL):
@@ -111,7 +130,7 @@ def test_an_error_is_said_as_well_as_it_is_known(found, text):
 
 def test_the_table_has_the_trend_and_how_real_time_is_kept():
     table = variant_table("", ["one"], [meter(8.0, reading(1e-3, trend="↗"), dt=0.02)])
-    assert "<td>2.5</td><td>0.1 % ↗</td>" in table
+    assert re.search(r"<td>2.5</td><td><span title=.*>0.1 % ↗</span></td>", table)
 
 
 def test_threads_and_their_layer_are_said_once_a_step_is_measured():

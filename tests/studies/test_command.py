@@ -1,15 +1,17 @@
 """`muslin study`: what it lists, runs, writes and refuses."""
 
+import io
 import json
 import os
 import subprocess
 import sys
 
 import pytest
+from rich.console import Console
 
 import sim
 from server.cli import main
-from server.study import as_json, cell_text
+from server.study import _printed, as_json, cell_text
 from sim.scene import scene_files
 from sim.studies import STUDIES, Result, Study, Table, watched
 
@@ -165,3 +167,17 @@ def test_progress_is_told_of_each_item_before_its_turn():
     told = []
     seen = [(item, list(told)) for item in watched("xy", lambda *args: told.append(args), str.upper)]
     assert seen == [("x", [(0.0, "X")]), ("y", [(0.0, "X"), (0.5, "Y")])]
+
+
+def test_no_word_of_a_table_is_cut_short_where_there_is_room_for_it():
+    columns = ("integrator", "other", *("matvecs / s" for _ in range(9)))
+    table = Table("wide", columns, (("backward_euler", "as it was chosen", *(1234.5 for _ in range(9))),))
+    console = Console(width=120, file=io.StringIO())
+    for wide, boxed in (table, True), (Table("wider", (*columns, "more"), ((*table.rows[0], "x"),)), False):
+        console.print(_printed(wide, console))
+        lines = console.file.getvalue().splitlines()
+        assert max(map(len, lines)) <= 120
+        assert any("backward_euler" in line and line.count("1234") == 9 for line in lines)
+        assert any("│" in line for line in lines) == boxed
+        assert "…" not in console.file.getvalue()
+        console.file = io.StringIO()

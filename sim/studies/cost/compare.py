@@ -16,6 +16,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from sim.bench.hardware import hardware, versions
+from sim.crossings import Crossings
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
 from sim.simulation import Simulation
@@ -72,7 +73,10 @@ def compare(
     chosen = change(scene.settings, **(overrides or {}))
     variants = [change(chosen, **{by: value}) for value in values]
     if len(set(variants)) < max(2, len(variants)):
-        raise ValueError(f"--by: expected two or more different values of {by}, got {len(variants)}")
+        got = ", ".join(value_in_words(by, value) for value in values)
+        raise ValueError(f"--by: expected two or more different values of {by}, got {got}")
+    if repeats < 1:
+        raise ValueError(f"--repeats: expected 1 or more, got {repeats}")
     every = common_multiple([s.dt for s in variants])
     looks = int(seconds / every + 1e-9)
     if looks < 1:
@@ -151,7 +155,7 @@ class _Comparison:
             horizon=None if look is None else look * self.every,
             growth=grown,
             variants=found,
-            notes=_notes(by, own, look, self.every),
+            notes=_notes(by, own, look, self.looks, self.every),
             hardware=computer,
             versions=versions(),
         )
@@ -227,6 +231,7 @@ class _Comparison:
         total = trace.energy
         rise = float((total - np.minimum.accumulate(total)).max())
         known = error is not None and look is not None
+        crossings = Crossings(self.world.mesh, self.world.contact.obstacles)
         return Variant(
             name=name,
             settings=settings,
@@ -243,7 +248,7 @@ class _Comparison:
             energy_rise=rise,
             penetrations=int(trace.contact["penetrations"].max()),
             deepest=float(trace.contact["deepest"].max()),
-            crossings=max(map(self.world.contact.crossings, trace.times, trace.positions)),
+            crossings=max(map(crossings.count, trace.times, trace.positions)),
             stretch=float(trace.strain.max()),
             observables={kind: float(values[-1]) for kind, values in trace.observables.items()},
             stopped=trace.stopped,
@@ -257,15 +262,17 @@ def scene_with(scene: Scene, settings: Settings) -> Scene:
     return replace(scene, settings=settings)
 
 
-def _notes(by: str, own: bool, look: int | None, every: float) -> list[str]:
+def _notes(by: str, own: bool, look: int | None, looks: int, every: float) -> list[str]:
     notes = [
         "Times are medians of runs made alone, in turn; the first of each, which warms up, does not count."
     ]
     if look is not None:
+        after = (
+            "; after that the reference is not known well enough, or runs that differ by a hair drift apart"
+        )
         notes.append(
             f"Errors are the largest mass-weighted distance from the reference up to {look * every:.3g} s, "
-            "as part of the cloth's diagonal; after that the reference is not known well enough, or runs "
-            "that differ by a hair drift apart."
+            f"as part of the cloth's diagonal{after * (look < looks)}."
         )
     if own:
         notes.append(

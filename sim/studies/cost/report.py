@@ -229,6 +229,9 @@ class AuditReport(Struct, kw_only=True, frozen=True):
     settings: Settings
     tolerance: Relative
     numerical_error: Relative
+    cost_noise: Annotated[
+        float, Meta(ge=0.0, description="how far costs are off, as part of the step as it is")
+    ]
     windows: int
     ms: Annotated[float, Meta(ge=0.0, description="wall milliseconds per step as it is")]
     effects: list[AuditedEffect]

@@ -41,8 +41,10 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Run
         cluster: Address of a Dask scheduler, such as tcp://10.0.0.1:8786.
 
     Raises:
-        ValueError: for a cluster that cannot be had.
+        ValueError: for a cluster that cannot be had, or fewer processes than none.
     """
+    if jobs is not None and jobs < 0:
+        raise ValueError(f"--jobs: expected 0 or more, got {jobs}")
     jobs = jobs or os.cpu_count() or 1
     if cluster is None and jobs == 1:
         yield in_turn

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 import sim
@@ -57,6 +58,27 @@ def test_what_is_off_is_brought_in_and_not_recommended(audited):
     assert (wind.now, wind.ran) == ("off", 0.0)
     assert wind.influence > 0.0
     assert not {"wind", "altitudes", "strain_limiting"} & audited.recommended.keys()
+
+
+def test_costs_are_told_between_steps_of_the_same_moment_and_how_noisy_they_are(monkeypatch):
+    """Gravity costs 1 ms in the four last and heavy steps of ten; one at either end is left out."""
+    step, noise, rng = sim.Simulation.step, 0.0, np.random.default_rng(0)
+
+    def timed(world):
+        report, heavy = step(world), world.time > 6.5 / 60
+        pulled = heavy and any(world.settings.gravity)
+        report.ms["total"] = 4.0 + 20.0 * heavy + pulled + noise * rng.uniform(-1.0, 1.0)
+        return report
+
+    monkeypatch.setattr(sim.Simulation, "step", timed)
+    cloth = scene(grid(resolution=(3, 3)), gravity=EARTH, contact="none", bend="none", dt=1 / 60)
+    quiet = audit(cloth, seconds=10 / 60)
+    assert named(quiet, "gravity").cost_share == pytest.approx((3 / 8) / ((5 * 4 + 3 * 25) / 8))
+    assert named(quiet, "damping").cost_share == quiet.cost_noise == 0.0
+    noise = 2.0
+    loud = audit(cloth, seconds=10 / 60)
+    assert 0.01 < loud.cost_noise < 0.3
+    assert "costs to ± " in pages.result(loud).tables[0].caption
 
 
 def test_the_recommended_block_loads_and_says_what_it_was_measured_with(audited):

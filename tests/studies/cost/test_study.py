@@ -270,8 +270,18 @@ def test_closed_cloth_has_a_volume():
         (["compare", "drape", "--by", "contact"], "--by: expected name=a,b,c, got 'contact'"),
         (
             ["compare", "drape", "--by", "contact=penalty"],
-            "--by: expected two or more different values of contact, got 1",
+            "--by: expected two or more different values of contact, got penalty",
         ),
+        (
+            ["compare", "drape", "--by", "gamma=1,1"],
+            "--by: expected two or more different values of gamma, got 1, 1",
+        ),
+        (
+            ["compare", "drape", "--by", "gamma=1,2", "--repeats", "-2"],
+            "--repeats: expected 1 or more, got -2",
+        ),
+        (["compare", "drape", "--by", "gamma=1,2", "--jobs", "-3"], "--jobs: expected 0 or more, got -3"),
+        (["cost", "drape", "--jobs", "-3"], "--jobs: expected 0 or more, got -3"),
         (
             ["compare", "drape", "--by", "dt=0.016,0.0170001"],
             "dt: expected time steps with a common multiple",
