@@ -127,10 +127,10 @@ def is_old(meter: Meter) -> bool:
 
 
 def measured(meter: Meter) -> str:
-    """Milliseconds per step and local error, and below it what is inside and what crosses, where known."""
+    """Milliseconds per step and local error, with its time if old; below, what is inside and what crosses."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
-    then = [f"error of {meter.reading.time:.1f} s"] * is_old(meter)
-    return "\n".join([f"{ms} ms · {error_text(meter.reading)}", *then, *crossed(meter)])
+    at = f" at {meter.reading.time:.1f} s" * is_old(meter)
+    return "\n".join([f"{ms} ms · {error_text(meter.reading)}{at}", *crossed(meter)])
 
 
 def crossed(meter: Meter) -> list[str]:
