@@ -102,36 +102,31 @@ def test_cloth_that_can_give_way_is_not_run_over(kind, seed):
         assert not report.overrun
 
 
-@pytest.mark.parametrize("kind", ["sphere", "capsule", "box", "cone", "torus"])
-def test_the_last_resort_alone_takes_cloth_along(kind, monkeypatch):
+def check_the_last_resort_alone(made, monkeypatch):
     """Without rounds of impulses, and in whole steps."""
     monkeypatch.setattr(pipeline, "MOST_ROUNDS", 0)
     monkeypatch.setattr(pipeline, "MOST_HALVINGS", 0)
-    path = [{"time": 0.0, "position": [0.01, 0.02, 0.2]}, {"time": 0.1, "position": [0.0, 0.0, -0.8]}]
-    part, sheet = SHAPES[kind](0.06, path=path, motion="linear"), grid((0.3, 0.3), (7, 7))
-    world = sim.Simulation(scene(sheet, part, friction=0.0, self_collision="auto"))
-    reports = []
+    world, reports = sim.Simulation(made), []
     for _ in range(6):
         reports.append(world.step())
         assert not touched(world)
     assert max(report.held_back for report in reports) > 0
     assert max(report.overrun for report in reports) == 0
+
+
+@pytest.mark.parametrize("kind", ["sphere", "capsule", "box", "cone", "torus"])
+def test_the_last_resort_alone_takes_cloth_along(kind, monkeypatch):
+    path = [{"time": 0.0, "position": [0.01, 0.02, 0.2]}, {"time": 0.1, "position": [0.0, 0.0, -0.8]}]
+    part, sheet = SHAPES[kind](0.06, path=path, motion="linear"), grid((0.3, 0.3), (7, 7))
+    check_the_last_resort_alone(scene(sheet, part, friction=0.0, self_collision="auto"), monkeypatch)
 
 
 def test_the_last_resort_alone_takes_cloth_along_before_a_plane(monkeypatch):
     """The lower sheet is not stopped for the upper one's sake while the plane goes on."""
-    monkeypatch.setattr(pipeline, "MOST_ROUNDS", 0)
-    monkeypatch.setattr(pipeline, "MOST_HALVINGS", 0)
     path = [{"time": 0.0, "position": [0, 0, -0.3]}, {"time": 0.1, "position": [0, 0, 0.2]}]
     sheets = [grid((0.3, 0.3), (5, 5), position=[0.01 * k, 0.0, 0.02 * k]) for k in range(2)]
     plane = {"kind": "plane", "path": path, "motion": "linear"}
-    world = sim.Simulation(scene(sheets, plane, friction=0.0, self_collision="auto"))
-    reports = []
-    for _ in range(6):
-        reports.append(world.step())
-        assert not touched(world)
-    assert max(report.held_back for report in reports) > 0
-    assert max(report.overrun for report in reports) == 0
+    check_the_last_resort_alone(scene(sheets, plane, friction=0.0, self_collision="auto"), monkeypatch)
 
 
 def through_pins(kind):
