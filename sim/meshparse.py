@@ -213,10 +213,11 @@ def _read_ply(data: bytes) -> tuple[Any, Any]:
 
 def _place(element: Element, name: str) -> int:
     """Which property of an element it is, of those that are no lists."""
-    for place, known in enumerate(element.properties):
-        if known.name == name and not known.length:
-            return place
-    raise ValueError(f"expected a property {name} of element {element.name}, got none")
+    places = [p for p, known in enumerate(element.properties) if known.name == name and not known.length]
+    if len(places) != 1:
+        found = len(places) or "none"
+        raise ValueError(f"expected one property {name} of element {element.name}, got {found}")
+    return places[0]
 
 
 def _corners(face: Element) -> int:
@@ -246,6 +247,8 @@ def _ascii_rows(data: bytes, body: int, elements: Sequence[Element], encoding: s
                 what = " ".join(f"{'list ' * bool(known.length)}{known.name}" for known in element.properties)
                 raise lines.wrong(f"{element.name} with {what}", words) from None
             yield element.name, k, row
+    if (words := next(rows, None)) is not None:
+        raise lines.wrong("nothing after all that the header claims", words)
 
 
 def _ascii_row(element: Element, words: list[str]) -> list:
@@ -279,6 +282,8 @@ def _binary_rows(data: bytes, at: int, elements: Sequence[Element], encoding: st
             except struct.error:
                 raise ValueError(f"it ends at {element.name} {k:,} of {element.claimed:,}") from None
             yield element.name, k, row
+    if rest := len(data[at:].strip()):
+        raise ValueError(f"expected nothing after all that the header claims, got {rest:,} bytes")
 
 
 def _reader(known: Property, order: str) -> Callable[[bytes, int], tuple[Any, int]]:

@@ -132,6 +132,8 @@ def test_a_binary_ply_may_mix_polygons_and_be_of_either_order(tmp_path):
         vertices, triangles, _ = read_mesh(*write(tmp_path, "m.ply", data))
         assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
         assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [3, 1, 0]]  # wound like its neighbours
+        more = "m.ply: expected nothing after all that the header claims, got 3 bytes"
+        assert refusal(tmp_path, "m.ply", data + b"\x01\x02\x03") == more
 
 
 @pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
@@ -244,6 +246,16 @@ def test_repairs_are_made_and_said(tmp_path):
             "m.ply",
             PLY.replace(b"ascii", b"binary"),
             "line 2: expected a line of a PLY header, got 'format bi",
+        ),
+        (
+            "m.ply",
+            PLY % (3, 1) + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 2 1 0\n",
+            "line 14: expected nothing after all that the header claims, got '3 2 1 0'",
+        ),
+        (
+            "m.ply",
+            PLY.replace(b"float z", b"float z\nproperty float x") % (3, 1),
+            "expected one property x of element vertex, got 2",
         ),
         ("m.off", b"OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "expected 3 vertices and 2 faces, but it"),
         ("m.stl", FACET + FACET[6:24], "line 9: expected endsolid at its end, got 'facet normal 0 0 1'"),
