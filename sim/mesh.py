@@ -109,21 +109,29 @@ def build_mesh(scene: Scene) -> Mesh:
 
 def bare_edges(mesh: Mesh) -> np.ndarray:
     """(k, 2) int32 edges that are sides of no triangle."""
-    number = np.array([len(mesh.vertices), 1], dtype=np.int64)
-    sides = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
-    known, edges = np.sort(sides) @ number, np.sort(mesh.edges) @ number
-    return mesh.edges[~np.isin(edges, known)]
+    return _bare_edges(mesh.triangles, mesh.edges, len(mesh.vertices))
+
+
+def _bare_edges(triangles: np.ndarray, edges: np.ndarray, n: int) -> np.ndarray:
+    number = np.array([n, 1], dtype=np.int64)
+    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    return edges[~np.isin(np.sort(edges) @ number, np.sort(sides) @ number)]
 
 
 def elements(mesh: Mesh) -> np.ndarray:
-    """(f, 3) int32 all that can touch: triangles, edges that no triangle has, vertices that no edge has.
+    """(f, 3) int32 all of the cloth that can touch, as `elements_of` has it."""
+    return elements_of(mesh.triangles, mesh.edges, len(mesh.vertices))
+
+
+def elements_of(triangles: np.ndarray, edges: np.ndarray, n: int) -> np.ndarray:
+    """(f, 3) int32 triangles, edges that no triangle has, and those of n vertices that no edge has.
 
     An edge repeats its second vertex, a vertex itself.
     """
-    alone = np.ones(len(mesh.vertices), dtype=bool)
-    alone[mesh.edges] = False
-    single = np.flatnonzero(alone).astype(np.int32)[:, None]
-    return np.concatenate([mesh.triangles, bare_edges(mesh)[:, [0, 1, 1]], single[:, [0, 0, 0]]])
+    alone = np.ones(n, dtype=bool)
+    alone[edges] = False
+    bare, single = _bare_edges(triangles, edges, n), np.flatnonzero(alone)[:, None]
+    return np.concatenate([triangles, bare[:, [0, 1, 1]], single[:, [0, 0, 0]]]).astype(np.int32)
 
 
 def vertex_masses(mesh: Mesh, mass: str, density: float) -> np.ndarray:

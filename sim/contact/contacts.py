@@ -97,13 +97,18 @@ class Contacts(NamedTuple):
         """
         if not len(others.key):
             return self
-        order = np.argsort(others.key, kind="stable")
-        twin = order[np.searchsorted(others.key[order], self.key).clip(0, len(order) - 1)]
-        better = np.flatnonzero((others.key[twin] == self.key) & (others_lack[twin] < lack))
+        twin, known = self.twins(others)
+        better = np.flatnonzero(known & (others_lack[twin] < lack))
         mixed = Contacts(*(array.copy() for array in self))
         for array, other in zip(mixed, others, strict=True):
             array[better] = other[twin[better]]
         return mixed
+
+    def twins(self, others: Contacts) -> tuple[np.ndarray, np.ndarray]:
+        """(c,) where among the `others`, of which there must be one, the same key is, and whether it is."""
+        order = np.argsort(others.key, kind="stable")
+        twin = order[np.searchsorted(others.key[order], self.key).clip(0, len(order) - 1)]
+        return twin, others.key[twin] == self.key
 
     def and_also(self, others: Contacts) -> Contacts:
         """These, then `others`."""
@@ -124,7 +129,8 @@ def make_contacts(c: int) -> Contacts:
 NO_CONTACTS = make_contacts(0)
 
 
-NOT_OVER, NOBODY = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+NOT_OVER, UNWATCHED = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+"""`Touch.over` and `Touch.watched` where there are none."""
 
 
 class Touch(NamedTuple):
@@ -144,7 +150,7 @@ class Touch(NamedTuple):
     slip: np.ndarray
     lasted: np.ndarray
     over: np.ndarray = NOT_OVER
-    watched: np.ndarray = NOBODY
+    watched: np.ndarray = UNWATCHED
 
     def ahead(self, keys: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """(c,) force [N] that the contacts with these `keys` may go on with for `h` [s], and (c,) their slip.

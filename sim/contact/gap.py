@@ -63,11 +63,8 @@ class GapSprings(NamedTuple):
     def rub_like(self, before: GapSprings) -> None:
         """Start with the drag that springs felt in a solve `before` of the same step, once it had settled."""
         if len(before.drag) and len(self.drag):
-            order = np.argsort(before.contacts.key)
-            known = before.contacts.key[order]
-            place = order[np.searchsorted(known, self.contacts.key).clip(0, len(known) - 1)]
-            same = before.contacts.key[place] == self.contacts.key
-            self.drag[same] = (before.drag + before.aside[2])[place[same]]
+            twin, known = self.contacts.twins(before.contacts)
+            self.drag[known] = (before.drag + before.aside[2])[twin[known]]
 
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.

@@ -17,7 +17,7 @@ from time import perf_counter
 import numpy as np
 from msgspec.structs import replace as replaced
 
-from sim.contact.contacts import NO_CONTACTS, NOBODY, NOT_OVER, UNTOUCHED, Contacts, Touch, touch
+from sim.contact.contacts import NO_CONTACTS, NOT_OVER, UNTOUCHED, UNWATCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.eruption import erupts
 from sim.contact.faces import Faces
@@ -85,7 +85,6 @@ class _Way:
     springs: GapSprings = NO_GAP_SPRINGS  # that the last solve of it felt
     guess: np.ndarray | None = None  # and the velocities that it ended with
     over: np.ndarray = field(default_factory=lambda: NOT_OVER)
-    watched: np.ndarray = field(default_factory=lambda: NOBODY)
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -145,24 +144,27 @@ class Pipeline:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
             report.felt = self._by_effect(pairs.felt)
             report.looked = self._by_effect(np.where(pairs.reached, pairs.counts, 0))
-        self.joins, (solution, touched) = np.unique(np.concatenate(self._joins), axis=0), end
+        self.joins, (solution, after) = np.unique(np.concatenate(self._joins), axis=0), end
         if self._resting:
             resting = self.touched.only(np.isin(self.touched.key, np.concatenate(self._resting)))
-            touched = touched.and_also(resting.still())
-        report.overrun = len(np.unique(touched.over[:, 0]))
-        return solution, touched
+            after = after.and_also(resting.still())
+        report.overrun = len(np.unique(after.over[:, 0]))
+        return solution, after._replace(watched=touched.watched)
 
     def _not_apart(self, settings: Settings, response: Response | None, time: float, x: np.ndarray) -> Touch:
         """What the last step left to remember, with what of the cloth obstacles are over now."""
-        touched, shapes = self.touched, self.obstacles.shapes
-        about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
-        over = still_over(touched.over, *about) if len(touched.over) else NOT_OVER
-        if response is None or not response.impulses or settings.detection == "static":
-            return touched._replace(over=over, watched=NOBODY)
-        watched = np.flatnonzero(self.obstacles.felt(settings).which & (shapes.kind == MESH))
-        for o in watched[~np.isin(watched, touched.watched)].tolist():
-            over = joined(over, found_over(o, *about))
-        return touched._replace(over=over, watched=watched)
+        over, watched = self.touched.over, UNWATCHED
+        if response is not None and response.impulses and settings.detection != "static":
+            watched = np.flatnonzero(
+                self.obstacles.felt(settings).which & (self.obstacles.shapes.kind == MESH)
+            )
+        new = watched[~np.isin(watched, self.touched.watched)]
+        if len(over) or len(new):
+            about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
+            over = still_over(over, *about) if len(over) else over
+            for o in new.tolist():
+                over = joined(over, found_over(o, *about))
+        return self.touched._replace(over=over, watched=watched)
 
     def _acting(self, contacts: Contacts, way: _Way) -> Contacts:
         """Those that can move something within the scene's plane; what parts they join is noted.
@@ -257,7 +259,7 @@ class Pipeline:
         the way that they took, and the step solved again where that led into some.
         """
         s, report, h = way.settings, way.report, way.settings.dt
-        way.over, way.watched = touched.over, touched.watched
+        way.over = touched.over
         if response is not None and response.projects:
             return self._projected(way, pairs)
         fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
@@ -473,7 +475,7 @@ class Pipeline:
         if watched:
             way.erupted = erupts(self._model, s, met, pressed, way.x, way.v, solution, end)
         pressing = touch(met.key, pressed, felt.of(met.key)[1], h)
-        return None if way.erupted else (end, pressing._replace(over=way.over, watched=way.watched))
+        return None if way.erupted else (end, pressing._replace(over=way.over))
 
     def _push(
         self,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.mesh import build_hinges
+from sim.mesh import build_hinges, elements_of
 
 LEAF = 4
 """Elements of a leaf of the tree."""
@@ -96,9 +96,7 @@ def inside_flats(
 
 def build_surface(positions: np.ndarray, triangles: np.ndarray, edges: np.ndarray) -> tuple[Surface, Tree]:
     """The surface of `triangles` (m, 3) and `edges` (e, 2), and a tree for `positions` (n, 3) [m]."""
-    bare = edges[~np.isin(_keys(edges, len(positions)), _keys(_sides(triangles), len(positions)))]
-    alone = np.setdiff1d(np.arange(len(positions)), edges)[:, None]
-    faces = np.concatenate([triangles, bare[:, [0, 1, 1]], alone[:, [0, 0, 0]]]).astype(np.int32)
+    faces = elements_of(triangles, edges, len(positions))
     order, tree = _tree(positions[faces].mean(axis=1))
     faces, solid = faces[order], order < len(triangles)
     n, f = len(positions), len(faces)
