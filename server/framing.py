@@ -84,15 +84,19 @@ class Framing:
         return np.array([*middle[:2], max(self._high[2] + LABEL_ROOM * size, clear / self._up[2])])
 
     def camera(
-        self, aspect: float = ASPECT, fov: float = FIELD_OF_VIEW, covered: float = 0.0
+        self,
+        aspect: float = ASPECT,
+        fov: float = FIELD_OF_VIEW,
+        covered: float = 0.0,
+        enlarged: float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Position and target [m] of a camera with this width over height and vertical angle [rad].
 
-        The view holds all variants with their labels above the part of its height that is `covered` from
-        below; what is beside the docks is not part of it.
+        The view holds all variants with their labels, so many times `enlarged`, above the part of its height
+        that is `covered` from below; what is beside the docks is not part of it.
         """
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        label = LABEL_HEIGHT * max(self.size, self._width)
+        label = enlarged * LABEL_HEIGHT * max(self.size, self._width)
         top = np.array([0.0, 0.0, self.label_place[2] + label - self._high[2]])
         points = self._low + corners * (self._high + top - self._low)
         sides = self._target + np.outer([-0.5, 0.5], self._width * self._right)

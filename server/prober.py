@@ -1,10 +1,10 @@
 """Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
 
-The time that probes take is accounted for: the regular ones, all together, take at most SHARE of the time
-that the lanes step, of which a thread that steps aside takes no more than its own processor time. What a
-change made out of date, or a pause, is measured as soon as changes have settled: quickly first, for every
-variant, and then to a tenth. Regular ones are quick, as one that is late is of another cloth. While nobody
-looks nothing is measured.
+The time that probes take is accounted for: while time runs, all together take at most SHARE of the time that
+the lanes step, of which a thread that steps aside takes no more than its own processor time. What a change
+made out of date is measured as soon as changes have settled, paid for or not; regular ones wait until that is
+made up for. All of these are quick: one that is late is of another cloth. In a pause, when no lane waits for
+anything, they are measured to a tenth as well, until time runs again. While nobody looks nothing is measured.
 """
 
 from __future__ import annotations
@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 SHARE = 0.025
-"""Of the lanes' stepping time that regular probes may take: with the ledger's share, some 5 %."""
+"""Of the lanes' stepping time that probes may take: with the ledger's share, some 5 %."""
+
+DEBT = 1.5
+"""Processor time [s] that may be owed for what changes had measured; more is forgiven, or there would be no
+regular reading for a quarter of an hour after one of changes. Two lanes make up for it in half a minute."""
 
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""
@@ -63,7 +67,6 @@ class Reading:
         trend: How it goes: "↗", "→", "↘", or nothing yet.
         time: Simulated time [s] of the state that it is of.
         quick: Whether it is beside a run that is not much finer, and so not known to a tenth.
-        better: Whether a better one is on its way.
     """
 
     found: Any = None
@@ -72,14 +75,13 @@ class Reading:
     trend: str = ""
     time: float = -1.0
     quick: bool = False
-    better: bool = False
 
 
 NO_READING, MEASURING = Reading(), Reading(measuring=True)
 
 
 class _Due(NamedTuple):
-    """A measurement of a variant: a quick one, or to a tenth; regular, or asked for by a change."""
+    """A measurement of a variant: a quick one, or to a tenth; regular, or due to a change or a pause."""
 
     variant: int
     quick: bool = False
@@ -94,7 +96,7 @@ class Prober:
 
     Attributes:
         readings: By variant.
-        spent: Processor time [s] that regular probes took, of `stepped` that the lanes stepped.
+        spent: Processor time [s] that probes took while time ran, of `stepped` that the lanes stepped.
     """
 
     def __init__(self, post: Callable) -> None:
@@ -108,6 +110,7 @@ class Prober:
         """Forget all: now there are `count` variants of the scene that `build` makes simulations of."""
         self._run += 1
         self._build, self._probe, self._busy = build, None, False
+        self._patient: int | None = None
         self._versions, self._turn = [0] * count, 0
         self._seen: list[Frame | None] = [None] * count
         self.readings = [MEASURING] * count
@@ -137,25 +140,28 @@ class Prober:
             if frame is not self._seen[i] and frame.steps and frame.ms:
                 self.stepped += 1e-3 * frame.ms["total"] * frame.steps
             self._seen[i] = frame
+        if bench.playing and self._patient is not None:
+            self._versions[self._patient] += 1  # it would take from the lanes, for seconds
+            self._patient = None
         if self._busy or self._build is None or not watched or not bench.ready:
             return
         if (due := self._next(bench)) is not None:
             if due.regular:
                 self._turn = due.variant + 1
+            self._patient = None if due.quick else due.variant
             take = partial(self._take, due)
-            self.ask(bench, due.variant, partial(_measure, quick=due.quick), take, due.regular)
+            self.ask(bench, due.variant, partial(_measure, quick=due.quick), take, booked=bench.playing)
 
     def ask(
-        self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], regular: bool = False
+        self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], booked: bool = False
     ) -> None:
         """Do `work` on the present state of a variant, and `then` take its result, or what it raised.
 
-        A change of that variant's settings ends the work with Stopped. What is done `regular`ly counts as
-        spent.
+        A change of that variant's settings ends the work with Stopped. What is `booked` counts as spent.
         """
         token = self._run, index, self._versions[index]
         self._busy = True
-        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then, regular))))
+        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then, booked))))
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="muslin prober", daemon=True)
             self._thread.start()
@@ -170,16 +176,17 @@ class Prober:
             moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not
             if reading is MEASURING or moved:
                 return _Due(i, quick=True)
-        for i in able:
-            if self.readings[i].better or (self.readings[i].quick and not bench.playing):
-                return _Due(i)
+        if not bench.playing:
+            return next((_Due(i) for i in able if self.readings[i].quick), None)
         paid = self.spent + self._took <= SHARE * self.stepped
-        if not able or not bench.playing or not paid or perf_counter() < self._failed + RETRY:
+        if not able or not paid or perf_counter() < self._failed + RETRY:
             return None
         return _Due(next((i for i in able if i >= self._turn), able[0]), quick=True, regular=True)
 
     def _take(self, due: _Due, found: Any) -> None:
         """Keep what was found, or why nothing was."""
+        if not due.quick:
+            self._patient = None
         if isinstance(found, Stopped):
             return
         if isinstance(found, ValueError):  # simulations that hand over no state
@@ -194,8 +201,7 @@ class Prober:
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
         if due.quick:
             self._took = found.took
-        better = quick and not due.regular
-        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick, better)
+        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick)
 
     # The prober's own thread.
 
@@ -203,10 +209,10 @@ class Prober:
         with contextlib.suppress(AttributeError, OSError):  # Linux has a priority for each thread
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (job := self._jobs.get()) is not None:
-            token, state, work, then, regular = job
+            token, state, work, then, booked = job
             begin = thread_time()
             result = self._result(token, state, work)
-            self._post(self._answer, token, result, then, thread_time() - begin, regular)
+            self._post(self._answer, token, result, then, thread_time() - begin, booked)
 
     def _result(self, token: tuple[int, int, int], state: Any, work: Work) -> Any:
         from sim.probe import Probe
@@ -237,11 +243,12 @@ class Prober:
         return run == self._run and index < len(versions) and versions[index] == version
 
     def _answer(
-        self, token: tuple[int, int, int], result: Any, then: Callable, took: float, regular: bool
+        self, token: tuple[int, int, int], result: Any, then: Callable, took: float, booked: bool
     ) -> None:
         if token[0] == self._run:
             self._busy = False
-            self.spent += took if regular else 0.0
+            if booked:
+                self.spent = min(self.spent + took, SHARE * self.stepped + DEBT)
         then(result if self._holds(token) else Stopped())
 
 

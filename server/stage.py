@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import viser
 
@@ -10,12 +12,19 @@ from server.framing import ASPECT, FIELD_OF_VIEW, Framing, is_floor
 from server.lane import Frame
 from server.palette import BLACK, GROUND, STONE, VARIANTS, WHITE
 from server.shapes import capsule, obstacle_mesh, quaternion, standing
-from server.style import PHONE, SHEET_PART
+from server.style import CHART_PART, PHONE, SHEET_PART
 from sim.mesh import Mesh
 from sim.scene import Plane, Scene
 
 LABEL, ALARM, MANY = 1.45, 1.7, 0.8
 """Size of labels, as a multiple of viser's: to be read from the back row; smaller for more than two."""
+
+ENLARGED = 1.5
+"""Times that labels are larger on a projector: some 27 px at 1280 × 720, a twenty-fifth of the height."""
+
+RESHAPED, MOVED = 0.01, 1e-3
+"""Relative change of a view's shape that is one, as sizes are whole pixels; and how far, as part of the
+scene's size, a camera is away from where it was put when somebody has moved it."""
 
 
 def view_of(client: viser.ClientHandle) -> tuple[float, float]:
@@ -23,13 +32,11 @@ def view_of(client: viser.ClientHandle) -> tuple[float, float]:
     return float(client.camera.image_width), float(client.camera.image_height)
 
 
-def between_docks(view: tuple[float, float], docks: float) -> tuple[float, float]:
-    """What docks of a width [CSS px] will leave of a view that was measured before there were any.
-
-    On a phone there are none, but a sheet over the lower part, which `Stage.frame_view` knows of.
-    """
-    width, height = view
-    return (width if width <= PHONE else max(width - docks, width / 3)), height
+def aspect_of(client: viser.ClientHandle) -> float:
+    """Width over height of a client's view, within what can be framed."""
+    width, height = view_of(client)
+    aspect = width / height if 0 < height < np.inf else ASPECT
+    return min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
 
 
 class Stage:
@@ -43,6 +50,9 @@ class Stage:
         self._take: viser.FrameHandle | None = None
         self._takes = 0
         self._framing: Framing | None = None
+        self._framed: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[np.ndarray, float]]
+        self._framed = weakref.WeakKeyDictionary()  # where each camera was put, for which width over height
+        self._enlarged: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self.show_mesh_lines = False
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map("apartment", environment_intensity=0.55)
@@ -52,6 +62,9 @@ class Stage:
         """Show the still of a scene: each variant's cloth where it starts."""
         self._framing = Framing(scene, mesh, len(names))
         with self._server.atomic():
+            for client in self._enlarged:  # what is a client's own goes with nothing of all clients'
+                for place in self._places:
+                    place.enlarge(client, False)
             if self._take is not None:
                 self._take.remove()
             self._takes += 1
@@ -61,6 +74,8 @@ class Stage:
             self._places = [
                 Place(self._server.scene, root, i, scene, mesh, self._framing) for i in range(len(names))
             ]
+        for client in self._enlarged:
+            self.enlarge(client, True)
         self.show_lines(self.show_mesh_lines)
         for i, name in enumerate(names):
             self.label(i, name)
@@ -88,26 +103,38 @@ class Stage:
             position=(0.0, 0.0, floor - 2e-3),  # a hair below, or cloth lying on it would flicker
         )
 
-    def frame_view(self, client: viser.ClientHandle, view: tuple[float, float] | None = None) -> None:
-        """Put one client's camera where it sees all variants.
-
-        Args:
-            client: Whose camera.
-            view: Width and height of what it sees [CSS px]; what it says of them now, if left out.
-        """
+    def frame_view(self, client: viser.ClientHandle) -> None:
+        """Put one client's camera where it sees all variants."""
         if self._framing is None or client.client_id not in self._server.get_clients():
             return
-        camera = client.camera
-        width, height = view or view_of(client)
-        aspect = width / height if 0 < height < np.inf else ASPECT
-        aspect = min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
-        covered = SHEET_PART if width <= PHONE else 0.0
-        position, target = self._framing.camera(aspect, FIELD_OF_VIEW, covered)
+        camera, aspect = client.camera, aspect_of(client)
+        if client in self._enlarged:
+            room = CHART_PART if len(self._places) > 2 else 0.0, ENLARGED
+        else:
+            room = SHEET_PART if view_of(client)[0] <= PHONE else 0.0, 1.0
+        position, target = self._framing.camera(aspect, FIELD_OF_VIEW, *room)
+        self._framed[client] = position, aspect
         with client.atomic():
             camera.fov = FIELD_OF_VIEW
             camera.position = position
             camera.look_at = target  # after the position, which takes what is looked at along
             camera.up_direction = (0.0, 0.0, 1.0)
+
+    def is_outgrown(self, client: viser.ClientHandle) -> bool:
+        """Whether a client's view has another shape than it was framed for, and nobody has moved its camera.
+
+        Docks that come or go, windows and phones that are turned do that. May be asked by any thread.
+        """
+        position, aspect = self._framed.get(client, (None, 0.0))
+        if self._framing is None or position is None or abs(aspect_of(client) / aspect - 1.0) < RESHAPED:
+            return False
+        return bool(np.allclose(client.camera.position, position, rtol=0.0, atol=MOVED * self._framing.size))
+
+    def enlarge(self, client: viser.ClientHandle, enlarged: bool) -> None:
+        """Write the labels that one client sees larger, or as large as for all again."""
+        (self._enlarged.add if enlarged else self._enlarged.discard)(client)
+        for place in self._places:
+            place.enlarge(client, enlarged)
 
     def show(self, frames: list[Frame]) -> None:
         """Show each variant's frame, all at once."""
@@ -147,13 +174,11 @@ class Place:
             cast_shadow=False,
             receive_shadow=False,
         )
-        self._label = api.add_label(
-            f"{root}/label",
-            "",
-            position=framing.label_place + np.array([0.0, 0.0, 0.05 * length]),
-            font_screen_scale=LABEL,
-            anchor="bottom-center",
-        )
+        self._label_node = f"{root}/label", framing.label_place + np.array([0.0, 0.0, 0.05 * length])
+        self._text, self._alarm = "", False
+        self._label = self._add_label(api)
+        self._enlarged: weakref.WeakKeyDictionary[viser.ClientHandle, viser.LabelHandle]
+        self._enlarged = weakref.WeakKeyDictionary()
         self._cloth = draw_cloth(api, root, mesh, color, framing.scale)
         self._moving = {}
         for k, (obstacle, shell) in enumerate(zip(scene.obstacle, mesh.shells, strict=True)):
@@ -191,10 +216,28 @@ class Place:
         for part in self._cloth:
             part.show_lines(visible)
 
+    def _add_label(self, api: viser.SceneApi) -> viser.LabelHandle:
+        name, position = self._label_node
+        return api.add_label(name, self._text, position=position, anchor="bottom-center")
+
+    def enlarge(self, client: viser.ClientHandle, enlarged: bool) -> None:
+        """Give one client a larger label, which takes the place of everybody's there; or take it away."""
+        if (own := self._enlarged.pop(client, None)) is not None:
+            own.remove()
+        if enlarged:
+            self._enlarged[client] = self._add_label(client.scene)
+            self.write(self._text, self._alarm)
+
     def write(self, text: str, alarm: bool) -> None:
         """Set the label, without touching what is the same already."""
+        self._text, self._alarm = text, alarm
         scale = (ALARM if alarm else LABEL) * self._label_size
-        if self._label.font_screen_scale != scale:
-            self._label.font_screen_scale = scale
-        if self._label.text != text:
-            self._label.text = text
+        self._write(self._label, scale)
+        for own in self._enlarged.values():
+            self._write(own, ENLARGED * scale)
+
+    def _write(self, label: viser.LabelHandle, scale: float) -> None:
+        if label.font_screen_scale != scale:
+            label.font_screen_scale = scale
+        if label.text != self._text:
+            label.text = self._text
