@@ -329,11 +329,19 @@ class Guard:
         connection = self._wire._live_connections.get(client_id)
         return connection is not None and self._roles.get(connection) is Role.ACTS
 
+    def _request(self, client_id: int) -> Any:
+        """What a client's websocket began with: path and headers; None of one that has left."""
+        return getattr(self._wire._live_connections.get(client_id), "request", None)
+
     def came_to(self, client_id: int) -> str:
         """The path of the address at which a client opened the page; empty of one that has left."""
-        connection = self._wire._live_connections.get(client_id)
-        request = connection.request if connection is not None else None
+        request = self._request(client_id)
         return urlsplit(request.path).path if request is not None else ""
+
+    def on_phone(self, client_id: int) -> bool:
+        """Whether a client's browser says that it is a phone's: "Mobi" is part of the names of these."""
+        request = self._request(client_id)
+        return request is not None and "Mobi" in " ".join(request.headers.get_all("User-Agent"))
 
     def open_to_all(self, command: Any) -> None:
         """Let those who only watch give a command, too: it acts on the page of whoever gives it alone."""

@@ -22,7 +22,7 @@ from server.panel import Panel
 from server.prober import Reading
 from server.projector import Projector
 from server.stage import Stage
-from server.style import WATCHING
+from server.style import MOST_BESIDE, WATCHING
 from sim.mesh import Mesh
 from sim.scene import Scene
 from sim.settings import FIELDS
@@ -61,7 +61,7 @@ class Page:
         self.charts = Charts(self.server)
         self.panel.act(self.charts.measure, (MEASURE,), lambda _: lab.measure_damping())
         self.charts.budget.connect(self.panel, guard, lab)
-        self.stage = Stage(self.server)
+        self.stage = Stage(self.server, lambda client: guard.on_phone(client.client_id))
         self.projector = Projector()
         self._shown: list[Frame] = []
         self._pinned = False
@@ -110,7 +110,7 @@ class Page:
 
     def project(self, client: Any) -> None:
         """Bring one client's page into projector mode, or out of it."""
-        self.stage.enlarge(client, self.projector.toggle(client))
+        self.stage.project(client, self.projector.toggle(client))
 
     def name_charts(self, comparison: Comparison) -> None:
         """Call the variants in charts by what sets them apart."""
@@ -147,7 +147,7 @@ class Page:
         time = max((meter.latest.time for meter in meters), default=0.0)  # finished; the clock may be ahead
         self.charts.add(time, meters, moved=time != self._charted)
         self._charted = time
-        self.projector.show(self.charts.picture, beside=comparison.count <= 2)
+        self.projector.show(self.charts.picture, beside=comparison.count <= MOST_BESIDE)
         if now > self._noted + NOTE_FOR:
             self._note = ""
         self.show_status(bench)

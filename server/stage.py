@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 
 import numpy as np
 import viser
 
 from server.cloth import draw_cloth
-from server.framing import ASPECT, FIELD_OF_VIEW, Framing, is_floor
+from server.framing import ASPECT, FIELD_OF_VIEW, LABEL_PART, Framing, is_floor
 from server.lane import Frame
 from server.palette import BLACK, GROUND, STONE, VARIANTS, WHITE
 from server.shapes import capsule, obstacle_mesh, quaternion, standing
-from server.style import CHART_PART, PHONE, SHEET_PART
+from server.style import CHART_PART, MOST_BESIDE, PHONE, SHEET_PART
 from sim.mesh import Mesh
 from sim.scene import Plane, Scene
 
 LABEL, ALARM, MANY = 1.45, 1.7, 0.8
 """Size of labels, as a multiple of viser's: to be read from the back row; smaller for more than two."""
+
+LINE, LINES, MOST_LABELS = 21.0, 5, 0.3
+"""Height of a label's line [CSS px], how many to have room for, and the most of a view's height for them."""
+
+LABEL_WIDTH, LEAST = 180.0, 0.5
+"""Width of a label [CSS px]; and how many times smaller it may become where a view is narrow."""
+
+FINE = 2.5
+"""Pixels of a phone's screen in a CSS pixel: two to three and a half, and it does not say."""
 
 ENLARGED = 1.5
 """Times that labels are larger on a projector: some 27 px at 1280 × 720, a twenty-fifth of the height."""
@@ -28,7 +38,7 @@ scene's size, a camera is away from where it was put when somebody has moved it.
 
 
 def view_of(client: viser.ClientHandle) -> tuple[float, float]:
-    """Width and height of a client's view [CSS px]; its own word, which may be anything."""
+    """Width and height of a client's view [its screen's px]; its own word, which may be anything."""
     return float(client.camera.image_width), float(client.camera.image_height)
 
 
@@ -39,11 +49,21 @@ def aspect_of(client: viser.ClientHandle) -> float:
     return min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
 
 
-class Stage:
-    """Draws variants. Clears and redraws everything when another scene or number of variants is `set_up`."""
+def label_size(count: int) -> float:
+    """Times that labels are smaller where there are so many variants."""
+    return 1.0 if count <= 2 else MANY
 
-    def __init__(self, server: viser.ViserServer):
-        self._server = server
+
+class Stage:
+    """Draws variants. Clears and redraws everything when another scene or number of variants is `set_up`.
+
+    Args:
+        server: Where the page is.
+        on_phone: Whether a client is a phone, whose pixels are finer than those that style rules count in.
+    """
+
+    def __init__(self, server: viser.ViserServer, on_phone: Callable[[viser.ClientHandle], bool]):
+        self._server, self._on_phone = server, on_phone
         self._places: list[Place] = []
         # Each set-up draws under names of its own: a node that is removed and added again under its old name
         # in one batch of messages keeps its old place in the browser.
@@ -52,7 +72,7 @@ class Stage:
         self._framing: Framing | None = None
         self._framed: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[np.ndarray, float]]
         self._framed = weakref.WeakKeyDictionary()  # where each camera was put, for which width over height
-        self._enlarged: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
+        self._projecting: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self.show_mesh_lines = False
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map("apartment", environment_intensity=0.55)
@@ -62,9 +82,8 @@ class Stage:
         """Show the still of a scene: each variant's cloth where it starts."""
         self._framing = Framing(scene, mesh, len(names))
         with self._server.atomic():
-            for client in self._enlarged:  # what is a client's own goes with nothing of all clients'
-                for place in self._places:
-                    place.enlarge(client, False)
+            for place in self._places:
+                place.forget_clients()
             if self._take is not None:
                 self._take.remove()
             self._takes += 1
@@ -74,8 +93,6 @@ class Stage:
             self._places = [
                 Place(self._server.scene, root, i, scene, mesh, self._framing) for i in range(len(names))
             ]
-        for client in self._enlarged:
-            self.enlarge(client, True)
         self.show_lines(self.show_mesh_lines)
         for i, name in enumerate(names):
             self.label(i, name)
@@ -108,11 +125,10 @@ class Stage:
         if self._framing is None or client.client_id not in self._server.get_clients():
             return
         camera, aspect = client.camera, aspect_of(client)
-        if client in self._enlarged:
-            room = CHART_PART if len(self._places) > 2 else 0.0, ENLARGED
-        else:
-            room = SHEET_PART if view_of(client)[0] <= PHONE else 0.0, 1.0
-        position, target = self._framing.camera(aspect, FIELD_OF_VIEW, *room)
+        covered, size = self._covered(client, aspect), self._fit_labels(client)
+        labels = LINES * LINE * size * label_size(len(self._places)) / max(self._css_size(client)[1], 1.0)
+        labels = min(max(labels, LABEL_PART), MOST_LABELS)
+        position, target = self._framing.camera(aspect, FIELD_OF_VIEW, covered, labels)
         self._framed[client] = position, aspect
         with client.atomic():
             camera.fov = FIELD_OF_VIEW
@@ -130,11 +146,33 @@ class Stage:
             return False
         return bool(np.allclose(client.camera.position, position, rtol=0.0, atol=MOVED * self._framing.size))
 
-    def enlarge(self, client: viser.ClientHandle, enlarged: bool) -> None:
+    def project(self, client: viser.ClientHandle, projecting: bool) -> None:
         """Write the labels that one client sees larger, or as large as for all again."""
-        (self._enlarged.add if enlarged else self._enlarged.discard)(client)
+        (self._projecting.add if projecting else self._projecting.discard)(client)
+        self._fit_labels(client)
+
+    def _covered(self, client: viser.ClientHandle, aspect: float) -> float:
+        """Which part of a client's view is covered from below."""
+        if client in self._projecting:
+            return CHART_PART if len(self._places) > MOST_BESIDE else 0.0
+        upright = self._on_phone(client) and aspect < 1.0
+        return SHEET_PART if upright or view_of(client)[0] <= PHONE else 0.0
+
+    def _css_size(self, client: viser.ClientHandle) -> tuple[float, float]:
+        """Width and height of a client's view [CSS px], as near as that is known."""
+        fine = FINE if self._on_phone(client) else 1.0
+        width, height = view_of(client)
+        return width / fine, height / fine
+
+    def _fit_labels(self, client: viser.ClientHandle) -> float:
+        """Have one client's labels larger on a projector, smaller in a narrow view; says how many times."""
+        count, (width, _) = len(self._places), self._css_size(client)
+        most = ENLARGED if client in self._projecting else 1.0
+        room = width / max(count, 1) / (LABEL_WIDTH * label_size(count))
+        size = max(min(most, room), LEAST) if room > 0.0 else most
         for place in self._places:
-            place.enlarge(client, enlarged)
+            place.resize_label(client, size)
+        return size
 
     def show(self, frames: list[Frame]) -> None:
         """Show each variant's frame, all at once."""
@@ -162,7 +200,7 @@ class Place:
         root = f"{take}/variant{index}"
         api.add_frame(root, show_axes=False, position=framing.offsets[index])
         color = VARIANTS[index]
-        self._label_size = 1.0 if len(framing.offsets) <= 2 else MANY
+        self._label_size = label_size(len(framing.offsets))
         length = float(np.linalg.norm(framing.bar))
         vertices, triangles = capsule(framing.bar / 2, 0.012 * length)
         api.add_mesh_simple(
@@ -177,8 +215,8 @@ class Place:
         self._label_node = f"{root}/label", framing.label_place + np.array([0.0, 0.0, 0.05 * length])
         self._text, self._alarm = "", False
         self._label = self._add_label(api)
-        self._enlarged: weakref.WeakKeyDictionary[viser.ClientHandle, viser.LabelHandle]
-        self._enlarged = weakref.WeakKeyDictionary()
+        self._own_labels: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[viser.LabelHandle, float]]
+        self._own_labels = weakref.WeakKeyDictionary()
         self._cloth = draw_cloth(api, root, mesh, color, framing.scale)
         self._moving = {}
         for k, (obstacle, shell) in enumerate(zip(scene.obstacle, mesh.shells, strict=True)):
@@ -220,21 +258,31 @@ class Place:
         name, position = self._label_node
         return api.add_label(name, self._text, position=position, anchor="bottom-center")
 
-    def enlarge(self, client: viser.ClientHandle, enlarged: bool) -> None:
-        """Give one client a larger label, which takes the place of everybody's there; or take it away."""
-        if (own := self._enlarged.pop(client, None)) is not None:
+    def resize_label(self, client: viser.ClientHandle, size: float) -> None:
+        """Give one client a label so many times larger, which takes the place of everybody's there."""
+        own, now = self._own_labels.get(client, (None, 1.0))
+        if size == now:
+            return
+        if size == 1.0 and own is not None:
             own.remove()
-        if enlarged:
-            self._enlarged[client] = self._add_label(client.scene)
+            del self._own_labels[client]
+        else:
+            self._own_labels[client] = own or self._add_label(client.scene), size
             self.write(self._text, self._alarm)
+
+    def forget_clients(self) -> None:
+        """Take back what only one client has: it does not go with what all have."""
+        for own, _ in self._own_labels.values():
+            own.remove()
+        self._own_labels.clear()
 
     def write(self, text: str, alarm: bool) -> None:
         """Set the label, without touching what is the same already."""
         self._text, self._alarm = text, alarm
         scale = (ALARM if alarm else LABEL) * self._label_size
         self._write(self._label, scale)
-        for own in self._enlarged.values():
-            self._write(own, ENLARGED * scale)
+        for own, size in self._own_labels.values():
+            self._write(own, size * scale)
 
     def _write(self, label: viser.LabelHandle, scale: float) -> None:
         if label.font_screen_scale != scale:

@@ -26,11 +26,21 @@ SHEET = (
 )
 """Rules for that sheet: of viser's own, 60 % and 20 em beside the right border would cover the cloths."""
 
-CHART_WIDTH, CHART_PART = 32, 0.3
+LOW = 440
+"""Pages up to this height [CSS px], phones on their side, have no room for a second dock."""
+
+SIDEWAYS = (
+    f"@media(max-height:{LOW}px) and (max-width:960px){{"
+    '[data-dock-region=right],[data-dock-root]>div[style*="right: 0px"][style*=shadow]'
+    "{visibility:hidden!important}[data-dock-root]>div:first-child{right:0!important}}"
+)
+"""Rules for these: between two docks the cloths would have a quarter of the width."""
+
+CHART_WIDTH, CHART_PART = 32, 0.42
 """Of the chart on a projector: part of the page's width [%]; of its height, where it stands before cloths."""
 
 PROJECTOR = (
-    "[data-dock-region],[data-dock-region]+*,[data-dock-root]>div[style*=box-shadow],[data-floating-window],"
+    "[data-dock-region],[data-dock-root]>div[style*=shadow],[data-floating-window],"
     '.mantine-Paper-root[style*="position: fixed"]{visibility:hidden!important}'
     "[data-dock-root]>div:first-child{left:0!important;right:0!important}"
     ".muslin.projector{visibility:visible;position:fixed;z-index:9;right:0;bottom:0;box-sizing:border-box;"
@@ -44,11 +54,14 @@ PROJECTOR = (
 
 What is in a dock is not displayed without it, but may be visible though it is hidden."""
 
+MOST_BESIDE = 3
+"""Variants that may stand beside the chart on a projector; more take the page's whole width."""
+
 BESIDE = (
     f"@media(min-aspect-ratio:3/2){{[data-dock-root]>div:first-child{{right:{CHART_WIDTH}vw!important}}"
     ".muslin.projector{top:0;display:flex;flex-direction:column;justify-content:center}}"
 )
-"""Rules for a chart that takes a side of a wide page: one or two cloths leave it free."""
+"""Rules for a chart that takes a side of a page that is wide enough."""
 
 UNKNOWN = "–"
 """Stands for a number that has not been measured."""
@@ -82,7 +95,7 @@ def page(control_rules: str, *rows: Any) -> str:
         "[role=tab]{padding:.7em .5em!important}[role=tab],[role=tab] *{font-size:12px!important}"
         ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
         ".mantine-Notification-description{white-space:pre-line}"
-        ".mantine-Notifications-notification{max-height:90vh!important;overflow:auto!important}"
+        ".mantine-Notifications-notification{max-height:80vh!important;overflow:auto!important}"
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
         f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"
@@ -92,7 +105,7 @@ def page(control_rules: str, *rows: Any) -> str:
         "{pointer-events:none}"
         ".mantine-Slider-root:is([data-disabled],:has([data-disabled]))~.mantine-NumberInput-root input"
         "{background:#f1f3f5;color:#6f6f6f}"
-        f"{SHEET}{bare}{control_rules}</style>"
+        f"{SHEET}{SIDEWAYS}{bare}{control_rules}</style>"
     )
 
 

@@ -74,7 +74,7 @@ class Tradeoff:
             if trail:
                 fresh = point(meters[i]) is not None
                 parts.append(_trail([_place(p, costs, errors) for p in trail], i, name, fresh))
-        if not known:
+        if not known and any(meter.reading.measuring for meter in meters):
             middle = f'x="{LEFT + _wide() / 2:g}" y="{TOP + _high() / 2:g}" text-anchor="middle"'
             parts.append(f"<text {middle}>measuring …</text>")
         return (

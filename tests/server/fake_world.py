@@ -197,6 +197,19 @@ class RawClient:
         self._thread.join(5)
 
 
+def label_sizes(client: RawClient) -> dict[str, float]:
+    """Of the labels that only this client has, by name."""
+    sizes = {}
+    for m in list(client.messages):
+        if m["type"] == "LabelMessage" and m.get("owner"):
+            sizes[m["name"]] = m["props"]["font_screen_scale"]
+        elif m["type"] == "SceneNodeUpdateMessage" and m.get("owner") and m["name"] in sizes:
+            sizes[m["name"]] = m["updates"].get("font_screen_scale", sizes[m["name"]])
+        elif m["type"] == "RemoveSceneNodeMessage" and m.get("owner"):
+            sizes.pop(m["name"], None)
+    return sizes
+
+
 def press_find(client: RawClient, kind: str, most: float) -> None:
     """Ask for settings that meet a budget."""
     client.set(client.find("budget"), kind)

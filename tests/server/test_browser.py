@@ -9,7 +9,7 @@ from fake_world import SCENE, FakeWorld, nothing_to_compile, wait_until
 import sim
 from server.lab import Lab
 from server.rescue import SAFE, UNDO
-from server.stage import ENLARGED
+from server.stage import MOST_LABELS
 from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
 
 PATIENCE = 120_000
@@ -223,6 +223,8 @@ def test_the_key_for_help_says_how_to_read_the_page_and_what_keys_do(page):
     assert "space: Play or pause" in words
     assert "?: Help" in words
     assert any(word.startswith("1–9: Scenes drape, curtain, ") for word in words)
+    page.locator(".mantine-Notification-closeButton").first.click()  # that there is no graphics card
+    page.wait_for_timeout(1000)
     title = page.get_by_text("How to read this page").bounding_box()
     box = page.locator(".mantine-Notification-root").last.bounding_box()
     assert title["y"] >= box["y"], "all of it can be read"
@@ -291,8 +293,8 @@ def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again
     chart_left = beamer.locator(".muslin.projector").bounding_box()["x"]
     wait_until(lambda: beamer.evaluate(CANVAS) == pytest.approx([0, chart_left], abs=1), seconds=60)
     stage = lab._page.stage
-    framed, _ = stage._framing.camera(chart_left / 450, enlarged=ENLARGED)
-    (client,) = stage._enlarged
+    framed, _ = stage._framing.camera(chart_left / 450, labels=MOST_LABELS)
+    (client,) = stage._projecting
     wait_until(lambda: np.allclose(client.camera.position, framed, rtol=0.02), seconds=60)
     beamer.get_by_text("P: the controls again").wait_for()
     assert page.locator(".muslin.projector").count() == 0, "no other page is in the mode"

@@ -8,10 +8,12 @@ import threading
 from pathlib import Path
 
 import pytest
-from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
+from fake_world import SCENE, FakeWorld, RawClient, label_sizes, nothing_to_compile, wait_until
 
 from server import lane
+from server.framing import LABEL_PART
 from server.lab import Lab
+from server.stage import FINE, LABEL, LABEL_WIDTH, LEAST, LINE, LINES, MANY
 from sim import SceneError
 
 
@@ -382,7 +384,7 @@ def settle(lab, client):
 
 
 def camera(lab, width):
-    position, _ = lab._page.stage._framing.camera(width / 720)
+    position, _ = lab._page.stage._framing.camera(width / 720, labels=LINES * LINE / 720)
     return pytest.approx(list(position), rel=1e-6)
 
 
@@ -402,6 +404,37 @@ def test_a_view_that_docks_leave_less_of_is_framed_anew_until_somebody_moves_the
     late.press("F")
     wait_until(lambda: framed(late)[-1] == camera(lab, 1280))
     late.close()
+
+
+def test_labels_are_smaller_where_a_view_is_too_narrow_for_them(lab, client):
+    """Each client's own, so that they neither lie over each other nor are smaller than need be on others."""
+    narrow = RawClient(lab.url)
+    narrow.look(image_width=260)
+    wait_until(lambda: list(label_sizes(narrow).values()) == [pytest.approx(LABEL * 130 / LABEL_WIDTH)] * 2)
+    assert not label_sizes(client)
+    lab.post(lab.change_count, 2)
+    wait_until(lambda: list(label_sizes(narrow).values()) == [pytest.approx(LABEL * MANY * LEAST)] * 4)
+    assert not label_sizes(client)
+    settle(lab, narrow)
+    narrow.look(image_width=1280, position=framed(narrow)[-1])
+    wait_until(lambda: not label_sizes(narrow))
+    narrow.close()
+
+
+PHONE = (
+    "Mozilla/5.0 (Linux; Android 14) AppleWebKit/537.36 (KHTML, like Gecko) Chrome/130 Mobile Safari/537.36"
+)
+
+
+@pytest.mark.parametrize(("width", "height", "covered"), [(1170, 2532, 0.4), (2532, 1170, 0.0)])
+def test_a_phone_is_framed_above_the_sheet_that_it_has_when_upright(lab, client, width, height, covered):
+    """However fine its pixels are."""
+    phone = RawClient(lab.url, **{"User-Agent": PHONE})
+    phone.look(image_width=width, image_height=height)
+    labels = max(LABEL_PART, LINES * LINE / (height / FINE))
+    position, _ = lab._page.stage._framing.camera(width / height, covered=covered, labels=labels)
+    wait_until(lambda: framed(phone) and framed(phone)[-1] == pytest.approx(list(position), rel=1e-6))
+    phone.close()
 
 
 def test_the_view_tab_says_what_keys_and_mouse_do(lab, client):

@@ -4,7 +4,7 @@ import http.client
 from urllib.parse import urlsplit
 
 import pytest
-from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
+from fake_world import SCENE, FakeWorld, RawClient, label_sizes, nothing_to_compile, wait_until
 
 from server.guard import PROJECTOR
 from server.lab import Lab
@@ -18,19 +18,6 @@ def pieces(client):
         if m["type"] == "GuiUpdateMessage" and m["uuid"] in html:
             html[m["uuid"]].update(m["updates"])
     return [p["content"] for p in html.values() if p["visible"] and "muslin projector" in p["content"]]
-
-
-def label_sizes(client):
-    """Of the labels that only this client has, by name."""
-    sizes = {}
-    for m in list(client.messages):
-        if m["type"] == "LabelMessage" and m.get("owner"):
-            sizes[m["name"]] = m["props"]["font_screen_scale"]
-        elif m["type"] == "SceneNodeUpdateMessage" and m.get("owner") and m["name"] in sizes:
-            sizes[m["name"]] = m["updates"].get("font_screen_scale", sizes[m["name"]])
-        elif m["type"] == "RemoveSceneNodeMessage" and m.get("owner"):
-            sizes.pop(m["name"], None)
-    return sizes
 
 
 def test_the_key_brings_one_page_into_the_mode_and_out_again_and_no_other(lab, client):
@@ -58,7 +45,7 @@ def test_labels_are_large_and_say_the_same_after_another_scene_was_opened(lab, c
     wait_until(lambda: lab.frames and lab.frames[0].time > 0)
     wait_until(lambda: all("ms" in place._text for place in lab._page.stage._places))
     for place in lab._page.stage._places:
-        (own,) = place._enlarged.values()
+        ((own, _),) = place._own_labels.values()
         wait_until(lambda own=own, place=place: own.text == place._text == place._label.text)
 
 

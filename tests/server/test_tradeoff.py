@@ -150,3 +150,12 @@ def test_the_ledger_stands_under_the_energies_with_what_does_not_add_up():
         ("= now", "2.26", "–"),
         ("residual", "0.1 %", "–"),
     ]
+
+
+def test_nothing_is_said_to_be_measured_of_a_cloth_that_stands_still():
+    going, stopped = meter(None, MEASURING), meter(None, MEASURING)
+    stopped.add(Frame(refused="too heavy"))
+    stopped.read()
+    assert "measuring" in Tradeoff().svg(["a"], [going])
+    assert "measuring" not in Tradeoff().svg(["a"], [stopped])
+    assert "measuring" not in variant_table("", ["a"], [stopped])
