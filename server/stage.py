@@ -38,15 +38,14 @@ scene's size, a camera is away from where it was put when somebody has moved it.
 
 
 def view_of(client: viser.ClientHandle) -> tuple[float, float]:
-    """Width and height of a client's view [its screen's px]; its own word, which may be anything."""
+    """Width and height of a client's view [its screen's px]; its own word, which may be any whole number."""
     return float(client.camera.image_width), float(client.camera.image_height)
 
 
 def aspect_of(client: viser.ClientHandle) -> float:
     """Width over height of a client's view, within what can be framed."""
     width, height = view_of(client)
-    aspect = width / height if 0 < height < np.inf else ASPECT
-    return min(max(aspect, 0.3), 4.0) if np.isfinite(aspect) else ASPECT
+    return min(max(width / height, 0.3), 4.0) if height > 0 else ASPECT
 
 
 def label_size(count: int) -> float:
@@ -126,8 +125,8 @@ class Stage:
             return
         camera, aspect = client.camera, aspect_of(client)
         covered, size = self._covered(client, aspect), self._fit_labels(client)
-        labels = LINES * LINE * size * label_size(len(self._places)) / max(self._css_size(client)[1], 1.0)
-        labels = min(max(labels, LABEL_PART), MOST_LABELS)
+        labels = LINES * LINE * size * label_size(len(self._places)) / max(1.0, self._css_size(client)[1])
+        labels = min(MOST_LABELS, max(LABEL_PART, labels))
         position, target = self._framing.camera(aspect, FIELD_OF_VIEW, covered, labels)
         self._framed[client] = position, aspect
         with client.atomic():

@@ -454,5 +454,11 @@ def test_nonsense_camera_leaves_the_lab_running(lab, client):
     wait_until(lambda: lab.comparison.shared.gamma == 0.5)
     reached = times(lab)
     wait_until(lambda: times(lab)[0] > reached[0])
-    for hostile in crowd:
-        hostile.close()
+    late = RawClient(lab.url)
+    late.look()
+    wait_until(lambda: framed(late))
+    before = len(framed(late))
+    lab.post(lab.change_count, 1)
+    wait_until(lambda: len(framed(late)) > before)
+    for one in (*crowd, late):
+        one.close()
