@@ -1,7 +1,8 @@
 """Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
 
 The time that probes take is accounted for: while time runs, all together take at most SHARE of the time that
-the lanes step, of which a thread that steps aside takes no more than its own processor time. What a change
+steps take, of which a thread that steps aside takes no more than its own processor time. That of all lanes
+counts once: they wait for each other, so that what one of them loses, all do. What a change
 made out of date is measured as soon as changes have settled, paid for or not; regular ones wait until that is
 made up for. All of these are quick: one that is late is of another cloth. In a pause, when no lane waits for
 anything, they are measured to a tenth as well, until time runs again. While nobody looks nothing is measured.
@@ -14,7 +15,7 @@ import logging
 import os
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter, thread_time
@@ -28,12 +29,12 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SHARE = 0.025
-"""Of the lanes' stepping time that probes may take: with the ledger's share, some 5 %."""
+SHARE = 0.02
+"""Of the time of steps that probes may take: with the ledger and what counts crossings, some 5 %."""
 
-DEBT = 1.5
+DEBT = 1.0
 """Processor time [s] that may be owed for what changes had measured; more is forgiven, or there would be no
-regular reading for a quarter of an hour after one of changes. Two lanes make up for it in half a minute."""
+regular reading for an hour after a quarter of one of changes."""
 
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""
@@ -96,7 +97,7 @@ class Prober:
 
     Attributes:
         readings: By variant.
-        spent: Processor time [s] that probes took while time ran, of `stepped` that the lanes stepped.
+        spent: Processor time [s] that probes took while time ran, of `stepped` that the slowest lane stepped.
     """
 
     def __init__(self, post: Callable) -> None:
@@ -112,7 +113,7 @@ class Prober:
         self._build, self._probe, self._busy = build, None, False
         self._patient: int | None = None
         self._versions, self._turn = [0] * count, 0
-        self._seen: list[Frame | None] = [None] * count
+        self._seen: Sequence[Frame | None] = [None] * count
         self.readings = [MEASURING] * count
         self._changed, self._failed = perf_counter(), -RETRY
         self.spent = self.stepped = self._took = 0.0
@@ -136,10 +137,9 @@ class Prober:
 
     def tick(self, bench: Bench, watched: bool) -> None:
         """Take in what the lanes stepped, and begin the next measurement if it is due."""
-        for i, frame in enumerate(bench.finished[: len(self._seen)]):
-            if frame is not self._seen[i] and frame.steps and frame.ms:
-                self.stepped += 1e-3 * frame.ms["total"] * frame.steps
-            self._seen[i] = frame
+        fresh = [f for f, seen in zip(bench.finished, self._seen, strict=False) if f is not seen and f.ms]
+        self._seen = bench.finished or self._seen
+        self.stepped += max((1e-3 * f.ms["total"] * f.steps for f in fresh if f.ms), default=0.0)
         if bench.playing and self._patient is not None:
             self._versions[self._patient] += 1  # it would take from the lanes, for seconds
             self._patient = None

@@ -277,10 +277,13 @@ CANVAS = (
 
 
 @pytest.mark.parametrize("by", ["key", "address"])
-def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again(lab, page, by):
-    address = lab.url + "/projector" if by == "address" else lab.url
-    beamer = page.context.browser.new_page(viewport={"width": 800, "height": 450})
-    visit(beamer, lab, address)
+def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again(page, by):
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
+    lab.start()
+    other, beamer = (page.context.browser.new_page(viewport={"width": 900, "height": 500}) for _ in range(2))
+    visit(other, lab)
+    visit(beamer, lab, lab.url + "/projector" if by == "address" else lab.url)
     tab = beamer.get_by_role("tab", name="Energy")
     tab.wait_for(state="attached")
     if by == "key":
@@ -293,17 +296,19 @@ def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again
     chart_left = beamer.locator(".muslin.projector").bounding_box()["x"]
     wait_until(lambda: beamer.evaluate(CANVAS) == pytest.approx([0, chart_left], abs=1), seconds=60)
     stage = lab._page.stage
-    framed, _ = stage._framing.camera(chart_left / 450, labels=MOST_LABELS)
+    framed, _ = stage._framing.camera(chart_left / 500, labels=MOST_LABELS)
     (client,) = stage._projecting
     wait_until(lambda: np.allclose(client.camera.position, framed, rtol=0.02), seconds=60)
     beamer.get_by_text("P: the controls again").wait_for()
-    assert page.locator(".muslin.projector").count() == 0, "no other page is in the mode"
+    assert other.get_by_role("button", name="Reset").is_visible(), "no other page is in the mode"
     beamer.keyboard.press("p")
     tab.wait_for()
     assert beamer.locator(".muslin.projector").count() == 0
     wait_until(lambda: beamer.evaluate(CANVAS)[0] > 100, seconds=60)
-    assert beamer.errors == []
+    assert beamer.errors == other.errors == []
     beamer.close()
+    other.close()
+    lab.stop()
 
 
 def test_on_a_phone_the_controls_leave_most_of_the_page_to_the_cloths(lab, page):
@@ -315,6 +320,17 @@ def test_on_a_phone_the_controls_leave_most_of_the_page_to_the_cloths(lab, page)
     assert (box["x"], box["width"]) == (0, 390)
     assert box["y"] >= 0.59 * 700
     assert slider.bounding_box()["x"] + slider.bounding_box()["width"] < 390
+    assert phone.errors == []
+    phone.close()
+
+
+def test_on_a_phone_on_its_side_the_cloths_have_all_that_one_dock_leaves(lab, page):
+    phone = page.context.browser.new_page(viewport={"width": 844, "height": 390})
+    visit(phone, lab)
+    row(phone, "rest angle").get_by_role("slider").wait_for()
+    wait_until(lambda: phone.evaluate(CANVAS)[1] == 844, seconds=60)
+    assert not phone.get_by_role("tab", name="Energy").is_visible()
+    assert phone.evaluate(CANVAS)[0] < 320
     assert phone.errors == []
     phone.close()
 
