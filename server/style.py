@@ -45,7 +45,7 @@ PROJECTOR = (
     "[data-dock-root]>div:first-child{left:0!important;right:0!important}"
     ".muslin.projector{visibility:visible;position:fixed;z-index:9;right:0;bottom:0;box-sizing:border-box;"
     f"width:{CHART_WIDTH}vw;padding:.8rem;background:#ffffffb0;font-size:1.25rem}}"
-    ".muslin.projector svg{font-size:13px;overflow:visible}"
+    ".muslin.projector svg{font-size:12px;overflow:visible}"
     f".muslin.projector .key span{{display:inline-block;margin-right:1em;color:{INK.css}}}"
     ".muslin.way-out{visibility:visible;position:fixed;z-index:9;left:0;bottom:0;padding:.8rem}"
     f".muslin.way-out a{{color:{INK.css}}}"
@@ -58,7 +58,7 @@ MOST_BESIDE = 3
 """Variants that may stand beside the chart on a projector; more take the page's whole width."""
 
 BESIDE = (
-    f"@media(min-aspect-ratio:3/2){{[data-dock-root]>div:first-child{{right:{CHART_WIDTH}vw!important}}"
+    f"@media(min-aspect-ratio:5/4){{[data-dock-root]>div:first-child{{right:{CHART_WIDTH}vw!important}}"
     ".muslin.projector{top:0;display:flex;flex-direction:column;justify-content:center}}"
 )
 """Rules for a chart that takes a side of a page that is wide enough."""
