@@ -129,6 +129,7 @@ HELP = (
     "Above each cloth: milliseconds per step, and the local error of one frame, beside a finer run. "
     "≈ is measured quickly, ≥ and < are all that is known. Below: what is in obstacles, and what crosses.",
     "Point at a setting, an effect or a number to be told what it is.",
+    "Keys act unless a box was clicked last, which takes them as text: click on the cloths first.",
 )
 """How to read the page."""
 

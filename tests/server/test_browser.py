@@ -286,6 +286,9 @@ def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again
     visit(beamer, lab, lab.url + "/projector" if by == "address" else lab.url)
     tab = beamer.get_by_role("tab", name="Energy")
     tab.wait_for(state="attached")
+    wait_until(
+        lambda: len(lab._page.server.get_clients()) == 2, seconds=60
+    )  # who is not known yet is not heard
     if by == "key":
         tab.click()  # the dock's own chart is not there then
         beamer.keyboard.press("p")
