@@ -1,10 +1,10 @@
 """Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
 
 The time that probes take is accounted for: while time runs, all together take at most SHARE of the time that
-steps take, of which a thread that steps aside takes no more than its own processor time. That of all lanes
-counts once: they wait for each other, so that what one of them loses, all do. What a change
-made out of date is measured as soon as changes have settled, paid for or not; regular ones wait until that is
-made up for. All of these are quick: one that is late is of another cloth. In a pause, when no lane waits for
+steps take, of which a thread that steps aside takes no more than its own processor time. Steps of several
+lanes count once: lanes wait for each other, so that what one of them loses, all do. What a change made out of
+date is measured as soon as changes have settled, paid for or not; regular ones wait until that is made up
+for. All of these are quick: one that is late is of another cloth. In a pause, when no lane waits for
 anything, they are measured to a tenth as well, until time runs again. While nobody looks nothing is measured.
 """
 
@@ -33,8 +33,9 @@ SHARE = 0.02
 """Of the time of steps that probes may take: with the ledger and what counts crossings, some 5 %."""
 
 DEBT = 1.0
-"""Processor time [s] that may be owed for what changes had measured; more is forgiven, or there would be no
-regular reading for an hour after a quarter of one of changes."""
+"""Processor time [s] that may be owed for what changes had measured, which a minute of steps makes up for.
+
+More is forgiven, or a while of changes would leave no regular reading for much longer than it took."""
 
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""
@@ -137,9 +138,10 @@ class Prober:
 
     def tick(self, bench: Bench, watched: bool) -> None:
         """Take in what the lanes stepped, and begin the next measurement if it is due."""
-        fresh = [f for f, seen in zip(bench.finished, self._seen, strict=False) if f is not seen and f.ms]
+        frames = zip(bench.finished, self._seen, strict=False)
+        took = [1e-3 * f.ms["total"] * f.steps for f, seen in frames if f is not seen and f.ms]
+        self.stepped += max(took, default=0.0)
         self._seen = bench.finished or self._seen
-        self.stepped += max((1e-3 * f.ms["total"] * f.steps for f in fresh if f.ms), default=0.0)
         if bench.playing and self._patient is not None:
             self._versions[self._patient] += 1  # it would take from the lanes, for seconds
             self._patient = None
