@@ -13,7 +13,16 @@ from server.meter import Meter
 from server.palette import VARIANTS
 from server.plots import CostPlot, PairPlot
 from server.ringdown import EXPLANATION, Results, damping_table
-from server.tables import NOTHING, caption, effects_table, sums_table, threads_line, update, variant_table
+from server.tables import (
+    NOTHING,
+    caption,
+    color_key,
+    effects_table,
+    sums_table,
+    threads_line,
+    update,
+    variant_table,
+)
 from server.tradeoff import Tradeoff
 
 MEASURE = "Measure the damping"
@@ -55,6 +64,8 @@ class Charts:
         panel.dock_right()
         panel.set_width(style.RIGHT_WIDTH)
         self._setting, self._names = "", [""]
+        self.picture = ""
+        """The chart of error against cost, with its key, as HTML."""
 
     def name(self, setting: str, names: Sequence[str]) -> None:
         """Call the variants so, by their values of the setting that differs."""
@@ -77,7 +88,9 @@ class Charts:
     def add(self, time: float, meters: Sequence[Meter], moved: bool) -> None:
         """Write the present numbers; and where time has moved on, a point of every line."""
         self._tradeoff.add(meters)
-        update(self._chart, f'<div class="muslin">{self._tradeoff.svg(self._names, meters)}</div>')
+        chart = self._tradeoff.svg(self._names, meters)
+        self.picture = chart + color_key(self._names)
+        update(self._chart, f'<div class="muslin">{chart}</div>')
         update(self._table, variant_table(self._setting, self._names, meters))
         update(self._threads, threads_line(meters))
         update(self._sums, sums_table(self._names, meters))

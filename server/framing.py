@@ -17,9 +17,14 @@ GAP = 0.04
 SLENDER = 0.5
 """Least width of a variant's place, as a share of its size: a strip needs room to curl, its label too."""
 
-LABEL_ROOM, LABEL_CLEAR, LABEL_HEIGHT = 0.17, 0.06, 0.2
-"""Of labels, as shares of the size: height above everything, and above what a camera sees of the cloth;
-and their own, with a few lines."""
+LABEL_ROOM, LABEL_CLEAR = 0.17, 0.06
+"""Of labels, as shares of the size: height above everything, and above what a camera sees of the cloth."""
+
+LABEL_PART = 0.12
+"""Of a view's height, that a label with a few lines takes."""
+
+MARGIN = 1.03
+"""Times that the view is larger than what it must hold."""
 
 NO_SIZE = 1.0
 """Size [m] that a single point is framed with."""
@@ -84,28 +89,34 @@ class Framing:
         return np.array([*middle[:2], max(self._high[2] + LABEL_ROOM * size, clear / self._up[2])])
 
     def camera(
-        self, aspect: float = ASPECT, fov: float = FIELD_OF_VIEW, covered: float = 0.0
+        self,
+        aspect: float = ASPECT,
+        fov: float = FIELD_OF_VIEW,
+        covered: float = 0.0,
+        labels: float = LABEL_PART,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Position and target [m] of a camera with this width over height and vertical angle [rad].
 
-        The view holds all variants with their labels above the part of its height that is `covered` from
-        below; what is beside the docks is not part of it.
+        The view holds all variants above the part of its height that is `covered` from below, and over each
+        place for a label as much of its height as `labels`; what is beside the docks is not part of it.
         """
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        label = LABEL_HEIGHT * max(self.size, self._width)
-        top = np.array([0.0, 0.0, self.label_place[2] + label - self._high[2]])
-        points = self._low + corners * (self._high + top - self._low)
         sides = self._target + np.outer([-0.5, 0.5], self._width * self._right)
-        points = np.concatenate([points, sides])
-        points = (points[None] + self.offsets[:, None]).reshape(-1, 3) - self._target
+        points = np.concatenate([self._low + corners * (self._high - self._low), sides, [self.label_place]])
+        points = (points + self.offsets[:, None]).reshape(-1, 3) - self._target
         depth, across, above = points @ self._toward, points @ self._right, points @ self._up
-        tangent, free = np.tan(fov / 2), 1.0 - covered
-        distance = np.max(
-            depth + 1.03 * np.maximum(np.abs(across) / (tangent * aspect), np.abs(above) / (tangent * free))
+        tangent, count = np.tan(fov / 2) / MARGIN, len(self.offsets)
+        top = np.tile([*np.ones(len(corners) + 2), 1.0 - 2.0 * labels], count) * tangent
+        bottom = (1.0 - 2.0 * covered) * tangent
+        # Lifted by the same, one point is below `top` and the other above `bottom` from this distance on:
+        apart = (above + top * depth)[:, None] - (above - bottom * depth)
+        distance = max(
+            (depth + np.abs(across) / (tangent * aspect)).max(), (apart / (top[:, None] + bottom)).max()
         )
-        # The middle of what is free is above the middle of the view: camera and target go down together.
-        below = -covered * tangent * distance * self._up
-        return self._target + below + self._toward * distance, self._target + below
+        least = (-bottom * (distance - depth) - above).max()
+        most = (top * (distance - depth) - above).min()
+        target = self._target - (least + most) / 2 * self._up
+        return target + self._toward * distance, target
 
 
 def downward(scene: Scene) -> np.ndarray:

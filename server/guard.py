@@ -11,8 +11,9 @@ Policy:
     Origin   must be the page's own. A browser always sends one with a websocket; a request without one is a
              program on this machine or network, which could forge it anyway, and is let through.
     Token    must be right where other computers can reach the page (server/access.py).
+    Path     PROJECTOR is another address of the page itself; its websocket has the same path.
     Message  only values of controls, commands and pointer events of the 3-D view are handled; of somebody who
-             only watches, none: viser hears of his camera alone.
+             only watches, none but his camera and the commands that act on his own page alone.
     Value    a control's value passes its check before viser sees it: clamped, or refused and shown as it was.
     Pace     nobody is listened to faster than a hand can move. What comes faster waits in the sender's own
              computer, so that nothing is lost and nothing piles up here.
@@ -36,6 +37,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -82,6 +84,9 @@ SETTLE = 0.8
 
 LOG_EVERY = 10.0
 """Seconds between two lines about clients' nonsense, which would fill a disk otherwise."""
+
+PROJECTOR = "/projector"
+"""Path of the page in projector mode."""
 
 _log = logging.getLogger(__name__)
 _construction = threading.Lock()
@@ -196,6 +201,8 @@ class Door:
             response.headers["Location"] = path
             response.headers["Set-Cookie"] = cookie(port, token)
             return response
+        elif urlsplit(path).path == PROJECTOR:  # viser looks for a file of that name
+            request = replace(request, path="/")
         return serve(connection, request)
 
     async def serve(self, connection: Any, handler: Callable) -> None:
@@ -302,6 +309,7 @@ class Guard:
         self._wire = server._websock_server
         self._viser_update = server.gui._handle_gui_updates
         self._watched: dict[str, tuple[Any, Check]] = {}
+        self._for_all: set[str] = set()
         self._corrections: dict[str, asyncio.TimerHandle] = {}
         _keep_only(self._wire, HANDLED)
         self._wire._incoming_handlers[messages.GuiUpdateMessage] = [self._update]  # type: ignore[list-item]
@@ -321,10 +329,29 @@ class Guard:
         connection = self._wire._live_connections.get(client_id)
         return connection is not None and self._roles.get(connection) is Role.ACTS
 
+    def _request(self, client_id: int) -> Any:
+        """What a client's websocket began with: path and headers; None of one that has left."""
+        return getattr(self._wire._live_connections.get(client_id), "request", None)
+
+    def came_to(self, client_id: int) -> str:
+        """The path of the address at which a client opened the page; empty of one that has left."""
+        request = self._request(client_id)
+        return urlsplit(request.path).path if request is not None else ""
+
+    def on_phone(self, client_id: int) -> bool:
+        """Whether a client's browser says that it is a phone's: "Mobi" is part of the names of these."""
+        request = self._request(client_id)
+        return request is not None and "Mobi" in " ".join(request.headers.get_all("User-Agent"))
+
+    def open_to_all(self, command: Any) -> None:
+        """Let those who only watch give a command, too: it acts on the page of whoever gives it alone."""
+        self._for_all.add(handle_id(command))
+
     async def _handle(self, client_id: Any, message: Any) -> None:
         # Somebody whose camera viser does not know yet, or no more, is nobody to its callbacks: it would show
         # the new value on all pages and tell no one of it.
-        if self.may_act(client_id) and client_id in self._clients:
+        own = isinstance(message, messages.CommandTriggerMessage) and message.uuid in self._for_all
+        if (own or self.may_act(client_id)) and client_id in self._clients:
             await self._viser_handle(client_id, message)
         elif isinstance(message, messages.GuiUpdateMessage) and message.uuid in self._watched:
             self._correct(self._watched[message.uuid][0])

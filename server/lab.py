@@ -183,6 +183,10 @@ class Lab:
         """Put one client's camera where it sees everything."""
         self._page.stage.frame_view(client)
 
+    def project(self, client: Any) -> None:
+        """Show one client the cloths without docks, for a projector, or with them again."""
+        self._page.project(client)
+
     def say(self, line: str) -> None:
         """Say for a while what went wrong."""
         self._page.note(line)

@@ -116,7 +116,7 @@ def error_hint(reading: Reading) -> str:
         return reading.why_not or "Not measured yet."
     at = f"Of a frame from {reading.time:.2f} s, as part of the cloth's size"
     if reading.quick:
-        more = "A better one is on its way." if reading.better else "In a pause it is measured better."
+        more = "In a pause it is measured better."
         return f"{at}: about so much, beside a run with a quarter of the step. {more}"
     return f"{at}, beside a finer run that is known to a tenth of it, or has a sixteenth of the step."
 

@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 PATIENCE = 0.7
 """Wall time [s] after which it is said that something takes long."""
 
-SHARE = 0.01
+SHARE = 0.005
 """Of wall time, that counting what crosses may take while time runs."""
 
 

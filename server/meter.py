@@ -51,6 +51,7 @@ class Meter:
             self.crossings = max(counted)
         if self.latest.refused:
             self.ms = self.inside = self.crossings = None
+            self.reading = NO_READING
         self._frames = []
         return self
 

@@ -13,15 +13,16 @@ from server.bench import Bench
 from server.charts import MEASURE, Charts
 from server.clock import FRAME
 from server.comparison import Comparison
-from server.guard import open_server
+from server.guard import PROJECTOR, open_server
 from server.history import History
 from server.labels import label
 from server.lane import Frame
 from server.palette import BRAND
 from server.panel import Panel
 from server.prober import Reading
-from server.stage import Stage, between_docks, view_of
-from server.style import LEFT_WIDTH, RIGHT_WIDTH, WATCHING
+from server.projector import Projector
+from server.stage import Stage
+from server.style import MOST_BESIDE, WATCHING
 from sim.mesh import Mesh
 from sim.scene import Scene
 from sim.settings import FIELDS
@@ -60,7 +61,8 @@ class Page:
         self.charts = Charts(self.server)
         self.panel.act(self.charts.measure, (MEASURE,), lambda _: lab.measure_damping())
         self.charts.budget.connect(self.panel, guard, lab)
-        self.stage = Stage(self.server)
+        self.stage = Stage(self.server, lambda client: guard.on_phone(client.client_id))
+        self.projector = Projector()
         self._shown: list[Frame] = []
         self._pinned = False
         self._published = self._read = self._charted = 0.0
@@ -70,8 +72,14 @@ class Page:
         def _(client: Any) -> None:
             if not guard.may_act(client.client_id):
                 client.gui.add_html(WATCHING, order=-1.0)
-            # Measured now: by the time that the lab comes to it, the docks may have taken their part.
-            lab.post(self.stage.frame_view, client, between_docks(view_of(client), LEFT_WIDTH + RIGHT_WIDTH))
+            lab.post(self.stage.frame_view, client)
+            if guard.came_to(client.client_id) == PROJECTOR:
+                lab.post(self.project, client)
+
+            @client.camera.on_update
+            async def _(_: Any) -> None:
+                if self.stage.is_outgrown(client):
+                    lab.post(self.stage.frame_view, client)
 
     @property
     def url(self) -> str:
@@ -99,6 +107,10 @@ class Page:
         self.charts.show_damping(())
         self.panel.show_scene(scene)
         self.panel.show_comparison(comparison)
+
+    def project(self, client: Any) -> None:
+        """Bring one client's page into projector mode, or out of it."""
+        self.stage.project(client, self.projector.toggle(client))
 
     def name_charts(self, comparison: Comparison) -> None:
         """Call the variants in charts by what sets them apart."""
@@ -135,6 +147,7 @@ class Page:
         time = max((meter.latest.time for meter in meters), default=0.0)  # finished; the clock may be ahead
         self.charts.add(time, meters, moved=time != self._charted)
         self._charted = time
+        self.projector.show(self.charts.picture, beside=comparison.count <= MOST_BESIDE)
         if now > self._noted + NOTE_FOR:
             self._note = ""
         self.show_status(bench)

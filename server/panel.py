@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import viser
 
@@ -25,7 +25,26 @@ if TYPE_CHECKING:
 PLAY, PAUSE, STEP, RESET = "▶ Play", "❚❚ Pause", "⇥ Step", "⟲ Reset"
 NOTHING = "nothing (one cloth)"
 MORE, FEWER = "+ variant", "− variant"
+LESSONS = ("drape", "curtain", "strip", "flag", "clap", "spin", "fold", "oscillator", "interference")
+"""The scenes that the keys 1 to 9 open: of each subject the one that shows most within seconds."""
+
 SPEEDS = {"1/8 ×": 0.125, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0}
+
+
+class Shortcut(NamedTuple):
+    """What a key does.
+
+    Attributes:
+        key: As viser and people call it.
+        what: In words.
+        act: Does it for the client that pressed it; called on viser's event loop.
+        own: Whether it acts on that client's page alone, so that those who only watch may do it, too.
+    """
+
+    key: str
+    what: str
+    act: Callable[[Any], None]
+    own: bool = False
 
 
 class Panel:
@@ -126,33 +145,44 @@ class Panel:
 
     def _add_commands(self) -> None:
         lab = self._lab
-        commands: tuple[tuple[str, Any, Any], ...] = (
-            ("Play or pause", "space", lab.toggle),
-            ("One step", "N", lab.step),
-            ("Reset", "R", lab.reset),
-            ("Undo the last change of a setting", "Z", lab.undo),
-            ("Mesh lines on or off", "W", lambda: lab.show_lines(not self._lines.value)),
+        shortcuts = (
+            Shortcut("space", "Play or pause", lambda _: lab.post(lab.toggle)),
+            Shortcut("N", "One step", lambda _: lab.post(lab.step)),
+            Shortcut("R", "Reset", lambda _: lab.post(lab.reset)),
+            Shortcut("Z", "Undo the last change of a setting", lambda _: lab.post(lab.undo)),
+            Shortcut("W", "Mesh lines on or off", lambda _: lab.post(lab.show_lines, not self._lines.value)),
+            Shortcut("F", "Frame the view", lambda client: lab.post(lab.frame_view, client), own=True),
+            Shortcut(
+                "P",
+                "Projector: cloths and chart alone, larger",
+                lambda client: lab.post(lab.project, client),
+                own=True,
+            ),
+            Shortcut("?", "Help", self._help, own=True),
         )
-        for label, key, action in commands:
-            command = self._gui.add_command(label, hotkey=key)
+        lessons = tuple(
+            Shortcut(str(i + 1), f"Scene {name}", lambda _, name=name: lab.post(lab.open_scene, name))
+            for i, name in enumerate(LESSONS)
+        )
+        for shortcut in shortcuts + lessons:
+            self._add_command(shortcut)
+        self._keys_said = {s.key: s.what for s in shortcuts}
+        self._keys_said[f"1–{len(lessons)}"] = "Scenes " + ", ".join(LESSONS)
+        self._keys.content = style.keys(self._keys_said)
 
-            @command.on_trigger
-            async def _(event: Any, action=action) -> None:
-                lab.post(action)
-
-        keys = {key: label for label, key, _ in commands} | {"F": "Frame the view", "?": "Help"}
-        self._keys.content = style.keys(keys)
-        frame = self._gui.add_command(keys["F"], hotkey="F")
+    def _add_command(self, shortcut: Shortcut) -> None:
         # viser lists no key "?", but hands on to the browser whatever it is told.
-        helped = self._gui.add_command(keys["?"], hotkey="?", modifier="shift")  # pyright: ignore[reportArgumentType]
+        modifier = "shift" if shortcut.key == "?" else None
+        command = self._gui.add_command(shortcut.what, hotkey=shortcut.key, modifier=modifier)  # pyright: ignore[reportArgumentType]
+        if shortcut.own:
+            self._guard.open_to_all(command)
 
-        @frame.on_trigger
+        @command.on_trigger
         async def _(event: Any) -> None:
-            lab.post(lab.frame_view, event.client)
+            shortcut.act(event.client)
 
-        @helped.on_trigger
-        async def _(event: Any) -> None:
-            event.client.add_notification("How to read this page", style.help_text(keys))
+    def _help(self, client: Any) -> None:
+        client.add_notification("How to read this page", style.help_text(self._keys_said))
 
     def show_scene(self, scene: Scene) -> None:
         """Say which scene is open and what to look for in it."""

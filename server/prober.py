@@ -1,10 +1,11 @@
 """Measures each variant's local error now and then, in a thread of its own that lanes hardly feel.
 
-The time that probes take is accounted for: the regular ones, all together, take at most SHARE of the time
-that the lanes step, of which a thread that steps aside takes no more than its own processor time. What a
-change made out of date, or a pause, is measured as soon as changes have settled: quickly first, for every
-variant, and then to a tenth. Regular ones are quick, as one that is late is of another cloth. While nobody
-looks nothing is measured.
+The time that probes take is accounted for: while time runs, all together take at most SHARE of the time that
+steps take, of which a thread that steps aside takes no more than its own processor time. Steps of several
+lanes count once: lanes wait for each other, so that what one of them loses, all do. What a change made out of
+date is measured as soon as changes have settled, paid for or not; regular ones wait until that is made up
+for. All of these are quick: one that is late is of another cloth. In a pause, when no lane waits for
+anything, they are measured to a tenth as well, until time runs again. While nobody looks nothing is measured.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import logging
 import os
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter, thread_time
@@ -28,8 +29,13 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SHARE = 0.025
-"""Of the lanes' stepping time that regular probes may take: with the ledger's share, some 5 %."""
+SHARE = 0.02
+"""Of the time of steps that probes may take: with the ledger and what counts crossings, some 5 %."""
+
+DEBT = 1.0
+"""Processor time [s] that may be owed for what changes had measured, which a minute of steps makes up for.
+
+More is forgiven, or a while of changes would leave no regular reading for much longer than it took."""
 
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""
@@ -63,7 +69,6 @@ class Reading:
         trend: How it goes: "↗", "→", "↘", or nothing yet.
         time: Simulated time [s] of the state that it is of.
         quick: Whether it is beside a run that is not much finer, and so not known to a tenth.
-        better: Whether a better one is on its way.
     """
 
     found: Any = None
@@ -72,14 +77,13 @@ class Reading:
     trend: str = ""
     time: float = -1.0
     quick: bool = False
-    better: bool = False
 
 
 NO_READING, MEASURING = Reading(), Reading(measuring=True)
 
 
 class _Due(NamedTuple):
-    """A measurement of a variant: a quick one, or to a tenth; regular, or asked for by a change."""
+    """A measurement of a variant: a quick one, or to a tenth; regular, or due to a change or a pause."""
 
     variant: int
     quick: bool = False
@@ -94,7 +98,7 @@ class Prober:
 
     Attributes:
         readings: By variant.
-        spent: Processor time [s] that regular probes took, of `stepped` that the lanes stepped.
+        spent: Processor time [s] that probes took while time ran, of `stepped` that the slowest lane stepped.
     """
 
     def __init__(self, post: Callable) -> None:
@@ -108,8 +112,9 @@ class Prober:
         """Forget all: now there are `count` variants of the scene that `build` makes simulations of."""
         self._run += 1
         self._build, self._probe, self._busy = build, None, False
+        self._patient: int | None = None
         self._versions, self._turn = [0] * count, 0
-        self._seen: list[Frame | None] = [None] * count
+        self._seen: Sequence[Frame | None] = [None] * count
         self.readings = [MEASURING] * count
         self._changed, self._failed = perf_counter(), -RETRY
         self.spent = self.stepped = self._took = 0.0
@@ -133,29 +138,32 @@ class Prober:
 
     def tick(self, bench: Bench, watched: bool) -> None:
         """Take in what the lanes stepped, and begin the next measurement if it is due."""
-        for i, frame in enumerate(bench.finished[: len(self._seen)]):
-            if frame is not self._seen[i] and frame.steps and frame.ms:
-                self.stepped += 1e-3 * frame.ms["total"] * frame.steps
-            self._seen[i] = frame
+        frames = zip(bench.finished, self._seen, strict=False)
+        took = [1e-3 * f.ms["total"] * f.steps for f, seen in frames if f is not seen and f.ms]
+        self.stepped += max(took, default=0.0)
+        self._seen = bench.finished or self._seen
+        if bench.playing and self._patient is not None:
+            self._versions[self._patient] += 1  # it would take from the lanes, for seconds
+            self._patient = None
         if self._busy or self._build is None or not watched or not bench.ready:
             return
         if (due := self._next(bench)) is not None:
             if due.regular:
                 self._turn = due.variant + 1
+            self._patient = None if due.quick else due.variant
             take = partial(self._take, due)
-            self.ask(bench, due.variant, partial(_measure, quick=due.quick), take, due.regular)
+            self.ask(bench, due.variant, partial(_measure, quick=due.quick), take, booked=bench.playing)
 
     def ask(
-        self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], regular: bool = False
+        self, bench: Bench, index: int, work: Work, then: Callable[[Any], None], booked: bool = False
     ) -> None:
         """Do `work` on the present state of a variant, and `then` take its result, or what it raised.
 
-        A change of that variant's settings ends the work with Stopped. What is done `regular`ly counts as
-        spent.
+        A change of that variant's settings ends the work with Stopped. What is `booked` counts as spent.
         """
         token = self._run, index, self._versions[index]
         self._busy = True
-        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then, regular))))
+        bench.lanes[index].send(Ask(lambda state: self._jobs.put((token, state, work, then, booked))))
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="muslin prober", daemon=True)
             self._thread.start()
@@ -170,16 +178,17 @@ class Prober:
             moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not
             if reading is MEASURING or moved:
                 return _Due(i, quick=True)
-        for i in able:
-            if self.readings[i].better or (self.readings[i].quick and not bench.playing):
-                return _Due(i)
+        if not bench.playing:
+            return next((_Due(i) for i in able if self.readings[i].quick), None)
         paid = self.spent + self._took <= SHARE * self.stepped
-        if not able or not bench.playing or not paid or perf_counter() < self._failed + RETRY:
+        if not able or not paid or perf_counter() < self._failed + RETRY:
             return None
         return _Due(next((i for i in able if i >= self._turn), able[0]), quick=True, regular=True)
 
     def _take(self, due: _Due, found: Any) -> None:
         """Keep what was found, or why nothing was."""
+        if not due.quick:
+            self._patient = None
         if isinstance(found, Stopped):
             return
         if isinstance(found, ValueError):  # simulations that hand over no state
@@ -194,8 +203,7 @@ class Prober:
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
         if due.quick:
             self._took = found.took
-        better = quick and not due.regular
-        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick, better)
+        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick)
 
     # The prober's own thread.
 
@@ -203,10 +211,10 @@ class Prober:
         with contextlib.suppress(AttributeError, OSError):  # Linux has a priority for each thread
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (job := self._jobs.get()) is not None:
-            token, state, work, then, regular = job
+            token, state, work, then, booked = job
             begin = thread_time()
             result = self._result(token, state, work)
-            self._post(self._answer, token, result, then, thread_time() - begin, regular)
+            self._post(self._answer, token, result, then, thread_time() - begin, booked)
 
     def _result(self, token: tuple[int, int, int], state: Any, work: Work) -> Any:
         from sim.probe import Probe
@@ -237,11 +245,12 @@ class Prober:
         return run == self._run and index < len(versions) and versions[index] == version
 
     def _answer(
-        self, token: tuple[int, int, int], result: Any, then: Callable, took: float, regular: bool
+        self, token: tuple[int, int, int], result: Any, then: Callable, took: float, booked: bool
     ) -> None:
         if token[0] == self._run:
             self._busy = False
-            self.spent += took if regular else 0.0
+            if booked:
+                self.spent = min(self.spent + took, SHARE * self.stepped + DEBT)
         then(result if self._holds(token) else Stopped())
 
 

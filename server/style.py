@@ -26,6 +26,43 @@ SHEET = (
 )
 """Rules for that sheet: of viser's own, 60 % and 20 em beside the right border would cover the cloths."""
 
+LOW = 440
+"""Pages up to this height [CSS px], phones on their side, have no room for a second dock."""
+
+SIDEWAYS = (
+    f"@media(max-height:{LOW}px) and (max-width:960px){{"
+    '[data-dock-region=right],[data-dock-root]>div[style*="right: 0px"][style*=shadow]'
+    "{visibility:hidden!important}[data-dock-root]>div:first-child{right:0!important}}"
+)
+"""Rules for these: between two docks the cloths would have a quarter of the width."""
+
+CHART_WIDTH, CHART_PART = 32, 0.42
+"""Of the chart on a projector: part of the page's width [%]; of its height, where it stands before cloths."""
+
+PROJECTOR = (
+    "[data-dock-region],[data-dock-root]>div[style*=shadow],[data-floating-window],"
+    '.mantine-Paper-root[style*="position: fixed"]{visibility:hidden!important}'
+    "[data-dock-root]>div:first-child{left:0!important;right:0!important}"
+    ".muslin.projector{visibility:visible;position:fixed;z-index:9;right:0;bottom:0;box-sizing:border-box;"
+    f"width:{CHART_WIDTH}vw;padding:.8rem;background:#ffffffb0;font-size:1.25rem}}"
+    ".muslin.projector svg{font-size:12px;overflow:visible}"
+    f".muslin.projector .key span{{display:inline-block;margin-right:1em;color:{INK.css}}}"
+    ".muslin.way-out{visibility:visible;position:fixed;z-index:9;left:0;bottom:0;padding:.8rem}"
+    f".muslin.way-out a{{color:{INK.css}}}"
+)
+"""Rules that hide docks, windows and the phone's sheet, and give the cloths their room.
+
+What is in a dock is not displayed without it, but may be visible though it is hidden."""
+
+MOST_BESIDE = 3
+"""Variants that may stand beside the chart on a projector; more take the page's whole width."""
+
+BESIDE = (
+    f"@media(min-aspect-ratio:5/4){{[data-dock-root]>div:first-child{{right:{CHART_WIDTH}vw!important}}"
+    ".muslin.projector{top:0;display:flex;flex-direction:column;justify-content:center}}"
+)
+"""Rules for a chart that takes a side of a page that is wide enough."""
+
 UNKNOWN = "–"
 """Stands for a number that has not been measured."""
 
@@ -50,6 +87,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin.key{font-size:.74em;color:#6f675f}.muslin.key span{display:inline-block;margin-right:.8em}"
         ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
         ".muslin.left{font-size:.77em}.muslin.left td{text-align:left}"
+        ".muslin.left td:first-child{white-space:nowrap;padding-right:.8em}"
         ".muslin.effects{font-size:.77em}.muslin.effects table{margin-bottom:.8em}"
         ".muslin.effects td{text-align:left;vertical-align:top}"
         ".muslin.effects td:nth-child(2){white-space:nowrap;text-align:right}"
@@ -57,6 +95,8 @@ def page(control_rules: str, *rows: Any) -> str:
         "[role=tab]{padding:.7em .5em!important}[role=tab],[role=tab] *{font-size:12px!important}"
         ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
         ".mantine-Notification-description{white-space:pre-line}"
+        ".mantine-Notifications-notification"
+        "{max-height:90vh!important;overflow:auto!important;align-items:flex-start}"
         ".muslin .dim{color:#6f675f}.muslin .bad{font-weight:800}"
         ".muslin i.chip{display:inline-block;width:.7em;height:.7em;border-radius:2px;margin-right:.35em}"
         f"div:has(>p>label){{width:{LABEL}em!important;padding-right:.25em}}"
@@ -66,7 +106,7 @@ def page(control_rules: str, *rows: Any) -> str:
         "{pointer-events:none}"
         ".mantine-Slider-root:is([data-disabled],:has([data-disabled]))~.mantine-NumberInput-root input"
         "{background:#f1f3f5;color:#6f6f6f}"
-        f"{SHEET}{bare}{control_rules}</style>"
+        f"{SHEET}{SIDEWAYS}{bare}{control_rules}</style>"
     )
 
 
@@ -77,10 +117,20 @@ def lesson(title: str, look_for: str, tries: Sequence[str]) -> str:
     return f'<div class="muslin"><p><b>{escape(title)}.</b> {escape(look_for)}</p>{tried}</div>'
 
 
+def projector(chart: str, beside: bool) -> str:
+    """What a page in projector mode has on top: its rules, the chart, and how to leave; all of it HTML."""
+    return (
+        f"<style>{PROJECTOR}{BESIDE * beside}</style>"
+        f'<div class="muslin projector">{chart}</div>'
+        '<div class="muslin way-out"><a href="/">P: the controls again</a></div>'
+    )
+
+
 HELP = (
     "Above each cloth: milliseconds per step, and the local error of one frame, beside a finer run. "
     "≈ is measured quickly, ≥ and < are all that is known. Below: what is in obstacles, and what crosses.",
     "Point at a setting, an effect or a number to be told what it is.",
+    "Keys act unless a box was clicked last, which takes them as text: click on the cloths first.",
 )
 """How to read the page."""
 
@@ -94,7 +144,8 @@ def keys(commands: Mapping[str, str]) -> str:
         f"<tr><td>{escape(key)}</td><td>{escape(what)}</td></tr>"
         for key, what in (MOUSE | {**commands}).items()
     )
-    return f'<div class="muslin left"><table>{rows}</table></div>'
+    other = '<a href="/projector" target="_blank">Open a page for the projector</a>'
+    return f'<div class="muslin left"><table>{rows}</table><p>{other}</p></div>'
 
 
 def help_text(commands: Mapping[str, str]) -> str:

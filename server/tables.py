@@ -54,6 +54,12 @@ def caption(text: str) -> str:
     return f'<div class="muslin dim" style="padding-top:.5em">{escape(text)}</div>'
 
 
+def color_key(names: Sequence[str]) -> str:
+    """Which colour is which variant; nothing where there is one."""
+    parts = (f"<span>{style.chip(VARIANTS[i])}{escape(name)}</span>" for i, name in enumerate(names))
+    return f'<div class="key">{"".join(parts)}</div>' if len(names) > 1 else ""
+
+
 def number(value: float | None, digits: int = 1) -> str:
     """A measured number, or the sign for one that is not."""
     return style.UNKNOWN if value is None else f"{value:.{digits}f}"

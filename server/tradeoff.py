@@ -65,16 +65,16 @@ class Tradeoff:
                 trail.append(now)
 
     def svg(self, names: Sequence[str], meters: Sequence[Meter]) -> str:
-        """The chart: filled points are up to date; what is being measured, or measured better, is hollow."""
+        """The chart: filled points are up to date; what is being measured is hollow."""
         known = [p for trail in self.trails for p in trail]
         costs = _decades([p[0] for p in known] or [1.0, 10.0])
         errors = _decades([p[1] for p in known] or [1e-4, 1e-2])
         parts = [_axes(costs, errors)]
         for i, (trail, name) in enumerate(zip(self.trails, names, strict=False)):
             if trail:
-                fresh = point(meters[i]) is not None and not meters[i].reading.better
+                fresh = point(meters[i]) is not None
                 parts.append(_trail([_place(p, costs, errors) for p in trail], i, name, fresh))
-        if not known:
+        if not known and any(meter.reading.measuring for meter in meters):
             middle = f'x="{LEFT + _wide() / 2:g}" y="{TOP + _high() / 2:g}" text-anchor="middle"'
             parts.append(f"<text {middle}>measuring …</text>")
         return (

@@ -137,12 +137,12 @@ class RawClient:
         """Send anything."""
         self._do(self._socket.send(data))
 
-    def look(self, image_width=1280, image_height=720):
+    def look(self, image_width=1280, image_height=720, position=(0.0, -3.0, 1.0)):
         """Say where the camera is; only then does viser count this as a client."""
         self.send(
             type="ViewerCameraMessage",
             wxyz=[1.0, 0.0, 0.0, 0.0],
-            position=[0.0, -3.0, 1.0],
+            position=list(position),
             fov=0.6,
             near=0.01,
             far=100.0,
@@ -167,6 +167,23 @@ class RawClient:
         wait_until(there)
         return found[0]
 
+    def count(self, kind: str) -> int:
+        """How many messages of a type have come."""
+        return sum(message["type"] == kind for message in list(self.messages))
+
+    def press(self, key: str):
+        """Give the command that a key gives."""
+
+        def there():
+            return [
+                m["uuid"]
+                for m in list(self.messages)
+                if m["type"] == "RegisterCommandMessage" and m["props"]["hotkey"] == key
+            ]
+
+        wait_until(there)
+        self.send(type="CommandTriggerMessage", uuid=there()[0])
+
     def set(self, uuid: str, value, **others):
         """Claim that a control was moved to a value."""
         self.send(type="GuiUpdateMessage", uuid=uuid, updates={"value": value, **others})
@@ -178,6 +195,19 @@ class RawClient:
         self._do(self._socket.close())
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5)
+
+
+def label_sizes(client: RawClient) -> dict[str, float]:
+    """Of the labels that only this client has, by name."""
+    sizes = {}
+    for m in list(client.messages):
+        if m["type"] == "LabelMessage" and m.get("owner"):
+            sizes[m["name"]] = m["props"]["font_screen_scale"]
+        elif m["type"] == "SceneNodeUpdateMessage" and m.get("owner") and m["name"] in sizes:
+            sizes[m["name"]] = m["updates"].get("font_screen_scale", sizes[m["name"]])
+        elif m["type"] == "RemoveSceneNodeMessage" and m.get("owner"):
+            sizes.pop(m["name"], None)
+    return sizes
 
 
 def press_find(client: RawClient, kind: str, most: float) -> None:

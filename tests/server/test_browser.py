@@ -9,6 +9,7 @@ from fake_world import SCENE, FakeWorld, nothing_to_compile, wait_until
 import sim
 from server.lab import Lab
 from server.rescue import SAFE, UNDO
+from server.stage import MOST_LABELS
 from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
 
 PATIENCE = 120_000
@@ -221,6 +222,96 @@ def test_the_key_for_help_says_how_to_read_the_page_and_what_keys_do(page):
     words = page.locator(".mantine-Notification-description").last.inner_text().splitlines()
     assert "space: Play or pause" in words
     assert "?: Help" in words
+    assert any(word.startswith("1–9: Scenes drape, curtain, ") for word in words)
+    page.locator(".mantine-Notification-closeButton").first.click()  # that there is no graphics card
+    page.wait_for_timeout(1000)
+    title = page.get_by_text("How to read this page").bounding_box()
+    box = page.locator(".mantine-Notification-root").last.bounding_box()
+    assert title["y"] >= box["y"], "all of it can be read"
+    assert box["y"] + box["height"] <= 560
+
+
+def test_keys_act_on_the_page_and_are_letters_in_a_box(page):
+    """A digit opens a scene, a letter acts; typed into a box they do nothing."""
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
+    lab.start()
+    own_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
+    visit(own_page, lab)
+    wait_until(lambda: len(lab.frames) == 2 and lab.frames[0].time > 0, seconds=60)
+    box = row(own_page, "density").locator("input.mantine-TextInput-input")
+    box.click()
+    own_page.keyboard.type("2nwp r")
+    box.fill("0.3")
+    wait_until(lambda: settings(lab, "density") == [0.3, 0.3], seconds=60)
+    assert lab._bench.playing
+    assert lab._scene.name == "fake"
+    assert not lab._page.stage.show_mesh_lines
+    assert own_page.locator(".muslin.projector").count() == 0
+    box.blur()
+    own_page.keyboard.press("n")
+    wait_until(lambda: not lab._bench.playing)
+    own_page.keyboard.press("w")
+    wait_until(lambda: lab._page.stage.show_mesh_lines)
+    own_page.keyboard.press("2")
+    wait_until(lambda: lab._scene.name == "curtain", seconds=60)
+    wait_until(lambda: row(own_page, "scene").locator("input").first.input_value() == "curtain", seconds=60)
+    assert own_page.errors == []
+    own_page.close()
+    lab.stop()
+
+
+def test_space_plays_and_pauses_once_where_a_button_was_pressed_last(lab, page):
+    page.evaluate("document.activeElement.blur()")
+    page.get_by_role("button", name="Pause").click()
+    wait_until(lambda: not lab._bench.playing)
+    page.keyboard.press(" ")
+    page.get_by_role("button", name="Pause").wait_for()
+    page.wait_for_timeout(500)
+    assert lab._bench.playing
+
+
+CANVAS = (
+    "() => { const r = document.querySelector('canvas').getBoundingClientRect(); return [r.left, r.right]; }"
+)
+
+
+@pytest.mark.parametrize("by", ["key", "address"])
+def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again(page, by):
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
+    lab.start()
+    other, beamer = (page.context.browser.new_page(viewport={"width": 900, "height": 500}) for _ in range(2))
+    visit(other, lab)
+    visit(beamer, lab, lab.url + "/projector" if by == "address" else lab.url)
+    tab = beamer.get_by_role("tab", name="Energy")
+    tab.wait_for(state="attached")
+    wait_until(
+        lambda: len(lab._page.server.get_clients()) == 2, seconds=60
+    )  # who is not known yet is not heard
+    if by == "key":
+        tab.click()  # the dock's own chart is not there then
+        beamer.keyboard.press("p")
+    chart = beamer.locator(".muslin.projector svg.tradeoff")
+    chart.wait_for()
+    assert not tab.is_visible()
+    assert not beamer.get_by_role("button", name="Reset").is_visible()
+    chart_left = beamer.locator(".muslin.projector").bounding_box()["x"]
+    wait_until(lambda: beamer.evaluate(CANVAS) == pytest.approx([0, chart_left], abs=1), seconds=60)
+    stage = lab._page.stage
+    framed, _ = stage._framing.camera(chart_left / 500, labels=MOST_LABELS)
+    (client,) = stage._projecting
+    wait_until(lambda: np.allclose(client.camera.position, framed, rtol=0.02), seconds=60)
+    beamer.get_by_text("P: the controls again").wait_for()
+    assert other.get_by_role("button", name="Reset").is_visible(), "no other page is in the mode"
+    beamer.keyboard.press("p")
+    tab.wait_for()
+    assert beamer.locator(".muslin.projector").count() == 0
+    wait_until(lambda: beamer.evaluate(CANVAS)[0] > 100, seconds=60)
+    assert beamer.errors == other.errors == []
+    beamer.close()
+    other.close()
+    lab.stop()
 
 
 def test_on_a_phone_the_controls_leave_most_of_the_page_to_the_cloths(lab, page):
@@ -232,6 +323,17 @@ def test_on_a_phone_the_controls_leave_most_of_the_page_to_the_cloths(lab, page)
     assert (box["x"], box["width"]) == (0, 390)
     assert box["y"] >= 0.59 * 700
     assert slider.bounding_box()["x"] + slider.bounding_box()["width"] < 390
+    assert phone.errors == []
+    phone.close()
+
+
+def test_on_a_phone_on_its_side_the_cloths_have_all_that_one_dock_leaves(lab, page):
+    phone = page.context.browser.new_page(viewport={"width": 844, "height": 390})
+    visit(phone, lab)
+    row(phone, "rest angle").get_by_role("slider").wait_for()
+    wait_until(lambda: phone.evaluate(CANVAS)[1] == 844, seconds=60)
+    assert not phone.get_by_role("tab", name="Energy").is_visible()
+    assert phone.evaluate(CANVAS)[0] < 844 / 2, "and that is more than half"
     assert phone.errors == []
     phone.close()
 

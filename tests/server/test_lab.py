@@ -8,11 +8,12 @@ import threading
 from pathlib import Path
 
 import pytest
-from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
+from fake_world import SCENE, FakeWorld, RawClient, label_sizes, nothing_to_compile, wait_until
 
 from server import lane
+from server.framing import LABEL_PART
 from server.lab import Lab
-from server.stage import between_docks
+from server.stage import FINE, LABEL, LABEL_WIDTH, LEAST, LINE, LINES, MANY
 from sim import SceneError
 
 
@@ -366,25 +367,74 @@ def test_stopped_variant_has_no_numbers_and_a_revived_one_says_how_far_behind_it
     wait_until(lambda: any("s behind" in text for text in labels(client)))
 
 
-def test_who_comes_while_the_lab_is_busy_is_framed_by_the_view_before_docks_took_their_part(lab, client):
-    """A page tells its width as it connects, and again once docks are there: these count once."""
-    busy = threading.Event()
-    lab.post(busy.wait, 20.0)
+def framed(client):
+    """Where a client's camera was put, each time."""
+    sent = [m for m in list(client.messages) if m["type"] == "SetCameraPositionMessage" and not m["initial"]]
+    return [m["position"] for m in sent]
+
+
+def settle(lab, client):
+    """Wait until the lab has done what a client's last message led to, and the client has heard of it."""
+    for _ in range(2):
+        heard, done = client.count("NotificationShowMessage"), threading.Event()
+        client.press("?")
+        wait_until(lambda heard=heard: client.count("NotificationShowMessage") > heard)
+        lab.post(done.set)
+        assert done.wait(20)
+
+
+def camera(lab, width):
+    position, _ = lab._page.stage._framing.camera(width / 720, labels=LINES * LINE / 720)
+    return pytest.approx(list(position), rel=1e-6)
+
+
+def test_a_view_that_docks_leave_less_of_is_framed_anew_until_somebody_moves_the_camera(lab, client):
+    """A page tells its width as it connects, and again once docks are there."""
     late = RawClient(lab.url)
     late.look(image_width=1280)
-    wait_until(lambda: len(lab._page.server.get_clients()) == 2)
-    late.look(image_width=680)
-    wait_until(lambda: 680 in [c.camera.image_width for c in lab._page.server.get_clients().values()])
-    busy.set()
-
-    def framed():
-        sent = [m for m in late.messages if m["type"] == "SetCameraPositionMessage" and not m["initial"]]
-        return [m["position"] for m in sent]
-
-    wait_until(framed)
-    expected, _ = lab._page.stage._framing.camera(680 / 720)
-    assert framed()[-1] == pytest.approx(list(expected), rel=1e-6)
+    wait_until(lambda: framed(late) and framed(late)[-1] == camera(lab, 1280))
+    late.look(image_width=680, position=framed(late)[-1])
+    wait_until(lambda: framed(late)[-1] == camera(lab, 680))
+    times = len(framed(late))
+    rounded, moved = (682, framed(late)[-1]), (1280, [0.1, -3.0, 1.0])
+    for width, position in (rounded, moved):
+        late.look(image_width=width, position=position)
+        settle(lab, late)
+        assert len(framed(late)) == times
+    late.press("F")
+    wait_until(lambda: framed(late)[-1] == camera(lab, 1280))
     late.close()
+
+
+def test_labels_are_smaller_where_a_view_is_too_narrow_for_them(lab, client):
+    """Each client's own, so that they neither lie over each other nor are smaller than need be on others."""
+    narrow = RawClient(lab.url)
+    narrow.look(image_width=260)
+    wait_until(lambda: list(label_sizes(narrow).values()) == [pytest.approx(LABEL * 130 / LABEL_WIDTH)] * 2)
+    assert not label_sizes(client)
+    lab.post(lab.change_count, 2)
+    wait_until(lambda: list(label_sizes(narrow).values()) == [pytest.approx(LABEL * MANY * LEAST)] * 4)
+    assert not label_sizes(client)
+    settle(lab, narrow)
+    narrow.look(image_width=1280, position=framed(narrow)[-1])
+    wait_until(lambda: not label_sizes(narrow))
+    narrow.close()
+
+
+PHONE = (
+    "Mozilla/5.0 (Linux; Android 14) AppleWebKit/537.36 (KHTML, like Gecko) Chrome/130 Mobile Safari/537.36"
+)
+
+
+@pytest.mark.parametrize(("width", "height", "covered"), [(1170, 2532, 0.4), (2532, 1170, 0.0)])
+def test_a_phone_is_framed_above_the_sheet_that_it_has_when_upright(lab, client, width, height, covered):
+    """However fine its pixels are."""
+    phone = RawClient(lab.url, **{"User-Agent": PHONE})
+    phone.look(image_width=width, image_height=height)
+    labels = max(LABEL_PART, LINES * LINE / (height / FINE))
+    position, _ = lab._page.stage._framing.camera(width / height, covered=covered, labels=labels)
+    wait_until(lambda: framed(phone) and framed(phone)[-1] == pytest.approx(list(position), rel=1e-6))
+    phone.close()
 
 
 def test_the_view_tab_says_what_keys_and_mouse_do(lab, client):
@@ -396,11 +446,6 @@ def test_the_view_tab_says_what_keys_and_mouse_do(lab, client):
         assert f"<td>{key}</td>" in said()[0]
 
 
-def test_a_phone_has_no_docks_beside_its_view():
-    assert between_docks((390.0, 844.0), 600.0) == (390.0, 844.0)
-    assert between_docks((1280.0, 720.0), 600.0) == (680.0, 720.0)
-
-
 def test_nonsense_camera_leaves_the_lab_running(lab, client):
     crowd = [RawClient(lab.url) for _ in range(4)]
     for hostile, size in zip(crowd, ("wide", float("nan"), 0, -5), strict=True):
@@ -409,5 +454,11 @@ def test_nonsense_camera_leaves_the_lab_running(lab, client):
     wait_until(lambda: lab.comparison.shared.gamma == 0.5)
     reached = times(lab)
     wait_until(lambda: times(lab)[0] > reached[0])
-    for hostile in crowd:
-        hostile.close()
+    late = RawClient(lab.url)
+    late.look()
+    wait_until(lambda: framed(late))
+    before = len(framed(late))
+    lab.post(lab.change_count, 1)
+    wait_until(lambda: len(framed(late)) > before)
+    for one in (*crowd, late):
+        one.close()

@@ -79,46 +79,95 @@ def test_every_variant_is_measured_first_and_then_only_as_often_as_lanes_paid_fo
     rig.prober.spent, rig.prober.stepped, rig.prober._took = 0.5, 0.0, 0.5
     rig.prober.tick(bench, True)
     assert [lane.asked for lane in bench.lanes] == [1, 1]
-    for _ in range(2):
+    for asked in ([1, 1], [2, 1]):
         bench.step(0.5 * 1.01e3 / server.prober.SHARE)
         rig.prober.tick(bench, True)
-    assert [lane.asked for lane in bench.lanes] == [2, 1], "both lanes' steps paid for one more"
+        assert [lane.asked for lane in bench.lanes] == asked, "both lanes' time counts once"
 
 
-def test_every_variant_has_a_quick_reading_before_any_has_a_better_one_and_both_are_of_no_account(rig):
+def test_while_time_runs_readings_are_quick_and_in_a_pause_they_are_measured_better(rig):
     bench, seen = Bench(), []
     rig.vague = True
     rig.errors = [1e-3, 1e-3, 2e-3, 2e-3]
-    for _ in range(4):
+    for _ in range(2):
         rig.prober.tick(bench, True)
         rig.answer()
-        seen.append(
-            [(reading.quick, reading.found and reading.found.error) for reading in rig.prober.readings]
-        )
-    assert rig.quick == [True, True, False, False]
-    assert [reading.better for reading in rig.prober.readings] == [False, False]
-    assert seen[1] == [(True, 1e-3), (True, 1e-3)]
-    assert seen[3] == [(False, 2e-3), (False, 2e-3)]
-    assert all(reading.trend == "" for reading in rig.prober.readings), "they were beside another run"
-    assert rig.prober.spent == 0.0
+    assert rig.quick == [True, True]
     rig.prober.spent, rig.prober.stepped = 1.0, 0.0
     rig.prober.tick(bench, True)
-    assert not rig.prober._busy, "from now on they are regular"
+    assert not rig.prober._busy, "from now on they are regular, and not paid for"
+    bench.playing = False
+    for _ in range(2):
+        rig.prober.tick(bench, True)
+        rig.answer()
+        seen.append([(reading.quick, reading.found.error) for reading in rig.prober.readings])
+    assert rig.quick[2:] == [False, False]
+    assert seen == [[(False, 2e-3), (True, 1e-3)], [(False, 2e-3)] * 2]
+    assert all(reading.trend == "" for reading in rig.prober.readings), "they were beside another run"
+    rig.prober.tick(bench, True)
+    assert not rig.prober._busy
+    bench.playing = True
     rig.errors = [3e-3, 4e-3, 9e-3, 3e-3, 3e-3]
     for _ in range(3):
         rig.prober.spent = -1.0
         rig.prober.tick(bench, True)
         rig.answer()
-    assert rig.quick[4:] == [True, True, True], "and quick, without a better one after them"
+    assert rig.quick[4:] == [True, True, True]
     assert [(reading.quick, reading.trend) for reading in rig.prober.readings] == [(True, "↗"), (True, "")]
+
+
+def test_what_is_measured_in_a_pause_ends_when_time_runs_again(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    rig.vague = True
     bench.playing = False
-    bench.lanes[0].frame = bench.lanes[1].frame = Frame(time=0.0)
-    for _ in range(2):
+    rig.prober.tick(bench, True)
+    rig.answer()
+    rig.gate.clear()
+    rig.prober.tick(bench, True)
+    token = rig.prober._run, 0, rig.prober._versions[0]
+    assert rig.prober._holds(token)
+    bench.playing = True
+    rig.prober.tick(bench, True)
+    assert not rig.prober._holds(token), "so that it stops before its next step"
+    rig.gate.set()
+    rig.answer()
+    assert rig.prober.readings[0].quick, "what was known before still is"
+
+
+def test_what_a_change_has_measured_is_made_up_for_by_fewer_regular_ones(rig, monkeypatch):
+    """Its processor time is in the account, whose share the lanes' next steps bring back to its limit."""
+    now = iter(range(100))
+    monkeypatch.setattr(server.prober, "thread_time", lambda: 0.2 * next(now))
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    for _ in range(3):
+        rig.prober.changed(0)
         rig.prober.tick(bench, True)
         rig.answer()
+    assert rig.prober.spent == pytest.approx(0.6)
+    asked = bench.lanes[0].asked
+    while bench.lanes[0].asked == asked:
+        bench.step(100.0)
+        rig.prober.tick(bench, True)
+    assert rig.prober.stepped == pytest.approx(0.6 / server.prober.SHARE, abs=0.2)
+    rig.answer()
+    bench.playing = False
+    rig.prober.changed(0)
     rig.prober.tick(bench, True)
-    assert not rig.prober._busy
-    assert rig.quick[7:] == [False, False], "in a pause they are measured better"
+    rig.answer()
+    assert rig.prober.spent == pytest.approx(0.8), "in a pause nothing is taken from anyone"
+
+
+def test_not_more_is_owed_than_a_minute_makes_up_for(rig, monkeypatch):
+    now = iter(range(100))
+    monkeypatch.setattr(server.prober, "thread_time", lambda: 10.0 * next(now))
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    bench.step(1e3)
+    rig.prober.tick(bench, True)
+    rig.answer()
+    assert rig.prober.spent == pytest.approx(server.prober.SHARE + server.prober.DEBT)
 
 
 def test_a_quick_reading_that_is_known_to_a_tenth_needs_no_better_one(rig):
@@ -132,7 +181,7 @@ def test_a_quick_reading_that_is_known_to_a_tenth_needs_no_better_one(rig):
     assert not rig.prober._busy
 
 
-def test_what_regular_probes_spend_is_processor_time_which_is_all_that_lanes_feel(rig):
+def test_what_probes_spend_is_processor_time_which_is_all_that_lanes_feel(rig):
     """A thread that stands back waits for long where others compute; here it only waits."""
     bench = Bench(1)
     rig.prober.clear(lambda settings: None, 1)

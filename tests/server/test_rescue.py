@@ -115,10 +115,7 @@ def test_key_z_undoes_while_all_is_well(lab, client):
     wait_until(lambda: min(times(lab)) > 0)
     client.set(client.find("damping ratio γ"), 1.0)
     wait_until(lambda: lab.comparison.shared.gamma == 1.0)
-    commands = {
-        m["props"]["label"]: m["uuid"] for m in client.messages if m["type"] == "RegisterCommandMessage"
-    }
-    client.send(type="CommandTriggerMessage", uuid=commands["Undo the last change of a setting"])
+    client.press("Z")
     wait_until(lambda: [lane._world.settings.gamma for lane in lab._bench.lanes] == [0.2, 0.2])
 
 

@@ -82,14 +82,17 @@ def test_quaternion_turns_as_the_matrix_does(vector):
     assert pytest.approx(matrix, abs=1e-12) == np.array(turned).T
 
 
+@pytest.mark.parametrize("labels", [0.12, 0.3])
 @pytest.mark.parametrize("covered", [0.0, 0.4])
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.0])
-def test_camera_sees_every_variant_above_what_a_sheet_of_controls_covers(count, aspect, covered):
+def test_camera_sees_every_variant_below_labels_and_above_what_covers_the_view(
+    count, aspect, covered, labels
+):
     scene = load_scene(SCENE)
     mesh = build_mesh(scene)
     framing = Framing(scene, mesh, count)
-    position, target = framing.camera(aspect, 0.6, covered)
+    position, target = framing.camera(aspect, 0.6, covered, labels)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -103,6 +106,8 @@ def test_camera_sees_every_variant_above_what_a_sheet_of_controls_covers(count, 
         heights = seen @ up / (depth * np.tan(0.3))
         assert (heights <= 1.001).all()
         assert (heights >= lowest - 0.001).all()
+        label = framing.label_place + offset - position
+        assert label @ up / (label @ forward * np.tan(0.3)) <= 1.001 - 2.0 * labels
 
 
 CHAIN = {"vertices": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 0.0, 1.0]], "edges": [[0, 1], [1, 2]]}
