@@ -9,6 +9,7 @@ import numpy as np
 from server.palette import GROUND, INK, STONE, VARIANTS, WHITE, Rgb
 from server.shapes import capsule, obstacle_mesh
 from sim.scene import Capsule, Obstacle, Sphere
+from sim.shells import Shell
 from sim.stress.probe import Picture
 
 WIDTH, HEIGHT = 320, 240
@@ -89,7 +90,12 @@ def _cloth(picture: Picture) -> tuple[np.ndarray, list[str]]:
 
 
 def _obstacle(
-    obstacle: Obstacle, position: np.ndarray, rotation: np.ndarray, center: np.ndarray, size: float
+    obstacle: Obstacle,
+    shell: Shell | None,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    center: np.ndarray,
+    size: float,
 ) -> tuple[np.ndarray, list[str]]:
     """The sides that one sees, cut up, near the cloth."""
     from trimesh.remesh import subdivide_to_size
@@ -102,7 +108,7 @@ def _obstacle(
         )
         vertices, triangles = capsule(np.array([0.0, 0.0, half]), obstacle.radius, ROUND)
     else:
-        vertices, triangles = obstacle_mesh(obstacle)
+        vertices, triangles = obstacle_mesh(obstacle, shell)
     longest = max(size, 0.1 * float(np.ptp(vertices, axis=0).max())) / PIECES
     vertices, triangles = subdivide_to_size(vertices.astype(float), triangles, longest, max_iter=12)[:2]
     corners = (vertices @ rotation.T + position)[triangles]

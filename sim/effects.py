@@ -400,8 +400,8 @@ def _contact(
     if report.pinched:
         words += f"; pinched: obstacles leave {report.pinched} vertices less room than the thickness"
     if report.overrun:
-        words += f"; overrun: obstacles go through the cloth at {report.overrun} vertices"
-        words += " that are pinned, had no way out, or began there"
+        words += f"; overrun by {', '.join(report.overrun_by)}, through the cloth at {report.overrun}"
+        words += " vertices that are pinned, had no way out, or began there"
     if report.held_back:
         words += f"; {report.held_back} vertices held back from what they would have met"
     return words + _tunnelling(settings, report, settings.thickness)

@@ -39,6 +39,7 @@ import numpy as np
 from sim.accounts import DISSIPATED, INJECTED
 from sim.contact.contacts import Contacts, along
 from sim.contact.friction import rub
+from sim.contact.hold import slow
 from sim.contact.response import project
 from sim.contact.zones import keep_apart
 from sim.solve.implicit import Felt, Solution
@@ -199,6 +200,7 @@ class Unbooked:
 
     keep_apart = staticmethod(keep_apart)
     rub = staticmethod(rub)
+    slow = staticmethod(slow)
 
     def respond_anew(self) -> None:
         """Nothing is known of an earlier try."""
@@ -249,6 +251,11 @@ class Part:
         with self._giving("friction", v):
             carried = rub(contacts, masses, inverse, h, x, v, allowed)
         self._carried["friction"] += carried
+
+    def slow(self, v, which, most) -> None:
+        """As `sim.contact.hold.slow`."""
+        with self._giving("contact", v):
+            slow(v, which, most)
 
     def project(self, contacts: Contacts, friction, masses, inverse, x, v) -> None:
         """As `sim.contact.response.project`."""

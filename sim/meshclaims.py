@@ -32,6 +32,9 @@ LINE_END = re.compile(rb"\r\n|\n|\r")
 MARK = b"\xef\xbb\xbf"
 """What some programs begin a text with; of its first word it is no part."""
 
+UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t\n\r -~]\0){4}|(?:\0[\t\n\r -~]){4}")
+"""How text in UTF-16 begins, with its mark or without."""
+
 
 def vertex_count(file: str, folder: str) -> int | None:
     """How many vertices a file says it has, without reading the mesh; None where only reading it can tell."""
@@ -48,6 +51,8 @@ def declared_counts(data: bytes, suffix: str) -> tuple[int | None, int]:
     Raises:
         ValueError: the claim is larger than Muslin, or than the file itself, can hold.
     """
+    if UTF16.match(data) and not binary_stl_faces(data):
+        raise ValueError("expected plain text, got text in UTF-16: save it as UTF-8")
     vertices, faces, everything = _COUNTERS[suffix](data)
     if (vertices or 0) > MAX_VERTICES:
         raise ValueError(f"expected at most {MAX_VERTICES:,} vertices, got {vertices:,}")

@@ -75,8 +75,15 @@ class _Lines:
         return ValueError(f"line {self.number}: expected {expected}, got {' '.join(words)[:SHOWN]!r}")
 
 
+def _plain(word: str) -> str:
+    """The word; ValueError where Python would take it for a number and no other program does: 1_0, or ٣."""
+    if "_" in word or not word.isascii():
+        raise ValueError
+    return word
+
+
 def _point(words: list[str]) -> tuple[float, float, float]:
-    x, y, z = map(float, words)
+    x, y, z = (float(_plain(word)) for word in words)
     return x, y, z
 
 
@@ -89,7 +96,7 @@ def _fan(corners: Sequence[int]) -> list[tuple[int, int, int]]:
 
 def _index(word: str) -> int:
     """A vertex number that int64 holds; whether there is such a vertex is looked at later."""
-    index = int(word)
+    index = int(_plain(word))
     if abs(index) > np.iinfo(np.int32).max:
         raise ValueError
     return index
@@ -118,7 +125,7 @@ def _read_obj(data: bytes) -> tuple[list, list]:
 
 def _obj_index(word: str, count: int) -> int:
     """The vertex that `7`, `7/1/2`, `7//2` or `-1` (the latest) means, from 0."""
-    index = int(word.partition("/")[0])
+    index = int(_plain(word.partition("/")[0]))
     if index == 0 or index < -count or index > MAX_VERTICES:
         raise ValueError
     return index - 1 if index > 0 else count + index
@@ -153,7 +160,7 @@ def _read_off(data: bytes) -> tuple[list, list]:
 
 def _listed(words: list[str], at: int) -> tuple[list[int], int]:
     """The whole numbers after the one at `at` that says how many there are, and where the next word is."""
-    count = int(words[at])
+    count = int(_plain(words[at]))
     end = at + 1 + count
     if count < 0 or end > len(words):
         raise ValueError
@@ -256,13 +263,14 @@ def _ascii_row(element: Element, words: list[str]) -> list:
     for known in element.properties:
         if known.length:
             if known.fractional:
-                length = int(words[at])
-                values, at = [float(word) for word in words[at + 1 : at + 1 + length]], at + 1 + length
+                length = int(_plain(words[at]))
+                values = [float(_plain(word)) for word in words[at + 1 : at + 1 + length]]
+                at += 1 + length
             else:
                 values, at = _listed(words, at)
             row.append(values)
         else:
-            row.append(float(words[at]))
+            row.append(float(_plain(words[at])))
             at += 1
     if at != len(words):
         raise ValueError

@@ -52,6 +52,7 @@ class StepReport:
         pinched: Vertices between obstacles that leave them less room than the thickness on both sides.
         overrun: Vertices that an obstacle has run over and not let go of before the step: they are pinned, or
             had nowhere to go.
+        overrun_by: These obstacles, as effects name them.
         overruns: Parts of the step in which one did though they could move.
         substeps: Parts that the step was done in.
         integrator: What took the step: the setting, or what stood in for it.
@@ -94,6 +95,7 @@ class StepReport:
     failsafes: int = 0
     pinched: int = 0
     overrun: int = 0
+    overrun_by: list[str] = field(default_factory=list)
     overruns: int = 0
     substeps: int = 1
     integrator: str = ""

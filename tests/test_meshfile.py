@@ -198,6 +198,27 @@ def test_repairs_are_made_and_said(tmp_path):
         ("m.obj", SQUARE + b"f 1 2 -9\n", "line 5: expected three or more vertex numbers, got 'f 1 2 -9'"),
         ("m.obj", b"v 0 0\n", "line 1: expected three numbers, got 'v 0 0'"),
         ("m.obj", b"v 0 x 0\n", "line 1: expected three numbers, got 'v 0 x 0'"),
+        ("m.obj", b"v 0 1_0 0\n", "line 1: expected three numbers, got 'v 0 1_0 0'"),
+        ("m.obj", "v 0 \u0663 0\n".encode(), "line 1: expected three numbers, got 'v 0 \u0663 0'"),
+        ("m.obj", SQUARE + b"f 1 2_0 3\n", "line 5: expected three or more vertex numbers, got 'f 1 2_0"),
+        ("m.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n0_3 0 1 2\n", "line 6: expected how many corners, and"),
+        (
+            "m.ply",
+            PLY % (3, 1) + b"0 0 0\n1 0 0\n0 1_0 0\n",
+            "line 12: expected vertex with x y z, got '0 1_0",
+        ),
+        ("m.ply", PLY % (3, 1) + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 0_2\n", "line 13: expected face with list"),
+        ("m.stl", FACET.replace(b"1 0 0", b"1_0 0 0"), "line 5: expected vertex and three numbers, got"),
+        *(
+            (name, (text + "v 0 0 0\n").encode(coding), "expected plain text, got text in UTF-16: save it as")
+            for name, text in (
+                ("m.obj", "# a\n"),
+                ("m.ply", "ply\n"),
+                ("m.stl", "solid\n"),
+                ("m.off", "OFF\n"),
+            )
+            for coding in ("utf-16", "utf-16-le", "utf-16-be")
+        ),
         (
             "m.obj",
             b"v 0 nan 0\n" + SQUARE + b"f 1 2 3\n",

@@ -142,7 +142,7 @@ class Touch(NamedTuple):
         slip: (t,) speed at which the two sides passed each other after it [m/s].
         lasted: () how long it was [s].
         over: (k, 2) int64 vertices, and obstacles that have run over them (`sim.contact.overrun`).
-        watched: (m,) int64 mesh obstacles that all other cloth was kept apart from.
+        watched: (m,) int64 obstacles that all other cloth was kept apart from.
     """
 
     key: np.ndarray

@@ -49,9 +49,10 @@ def erupts(
     work = (1.0 + settings.friction) * float(pressed @ speed)
     thrown = 2.0 * mass[moved].sum() * speed.max() ** 2
     lifted = 0.5 * RECOVERY_SPEED**2 + settings.thickness * float(np.linalg.norm(settings.gravity))
-    gain, before, _, blown = model.gain(x, v, end.positions, end.velocities, settings.dt)
-    allowed = work + blown + thrown + mass.sum() * lifted + GROWTH * before
-    if not gain > allowed:
+    gain, before, after, blown = model.gain(x, v, end.positions, end.velocities, settings.dt)
+    allowed = blown + thrown + mass.sum() * lifted + GROWTH * before
+    # What obstacles press goes into springs; what they set in motion is no faster than they throw it.
+    if not (gain > allowed + work or min(gain, after - before) > allowed):
         return ""
     by_solve = model.gain(x, v, solved.positions, solved.velocities, settings.dt)[0]
     return "impulses" if gain - by_solve > allowed else "solve"

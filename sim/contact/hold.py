@@ -28,3 +28,10 @@ def go_at_most(start: np.ndarray, end: np.ndarray, which: np.ndarray, allowed: n
     which = which[far]
     end[which] = start[which] + (allowed[far] / length[far])[:, None] * way[far]
     return which
+
+
+def slow(velocities: np.ndarray, which: np.ndarray, most: np.ndarray) -> None:
+    """Let the vertices `which` (k,) of `velocities` (n, 3) [m/s] be no faster than `most` (k,) [m/s]."""
+    speed = np.linalg.norm(velocities[which], axis=1)
+    fast = speed > most
+    velocities[which[fast]] *= (most[fast] / speed[fast])[:, None]

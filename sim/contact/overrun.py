@@ -5,9 +5,9 @@ it on the wrong side when it leaves. All else of the cloth is kept apart from th
 stays in the hole of the elements around such vertices, and goes out there again. A vertex is forgotten once
 none of its elements crosses the obstacle and, where that is closed, it is not inside.
 
-The same holds of cloth that is found across a mesh which nothing has kept it apart from: at a start that is
-kept as it is, or as contact, detection or an obstacle is switched on. Cloth that is all inside may belong
-there, as in a box.
+The same holds of cloth that is found across an obstacle which nothing has kept it apart from: at a start that
+is kept as it is, or as contact, detection or an obstacle is switched on. Cloth that is all inside a mesh may
+belong there, as in a box. What is not let go of by shapes that have an inside leaves them, if it can.
 """
 
 from __future__ import annotations
@@ -27,13 +27,17 @@ def joined(over: np.ndarray, more: np.ndarray) -> np.ndarray:
 
 
 def found_over(o: int, mesh: Mesh, obstacles: Obstacles, poses: Poses, positions: np.ndarray) -> np.ndarray:
-    """(k, 2) vertices of cloth at `positions` (n, 3) [m] that is found across the mesh obstacle o, and o.
+    """(k, 2) vertices of cloth at `positions` (n, 3) [m] that is found across obstacle o, and o.
 
-    With them those inside of it that edges join to such.
+    With them those inside of a mesh that edges join to such.
     """
-    over = _crossing(o, elements(mesh), obstacles, poses, positions)
-    joined_to = np.flatnonzero(np.isin(mesh.parts, mesh.parts[over])) if len(over) else over
-    over = np.union1d(over, _inside(o, joined_to, obstacles, poses, positions))
+    about = obstacles, poses, positions
+    if obstacles.shapes.kind[o] == MESH:
+        over = _crossing(o, elements(mesh), *about)
+        joined_to = np.flatnonzero(np.isin(mesh.parts, mesh.parts[over])) if len(over) else over
+        over = np.union1d(over, _inside(o, joined_to, *about))
+    else:
+        over = _overlapping(o, elements(mesh), *about)
     return np.stack([over, np.full(len(over), o)], axis=1).astype(np.int64)
 
 
@@ -49,11 +53,18 @@ def still_over(
         if obstacles.shapes.kind[o] == MESH:
             through = np.union1d(_crossing(o, theirs, *about), _inside(o, mine[:, 0], *about))
         else:
-            overlaps = np.empty(len(theirs), dtype=bool)
-            overlapping(obstacles.shapes, o, poses, theirs, positions, overlaps)
-            through = theirs[overlaps]
+            through = _overlapping(o, theirs, *about)
         left.append(mine[np.isin(mine[:, 0], through)])
     return np.concatenate(left)
+
+
+def _overlapping(
+    o: int, faces: np.ndarray, obstacles: Obstacles, poses: Poses, positions: np.ndarray
+) -> np.ndarray:
+    """(k,) vertices of edges and triangles of `faces` (f, 3) that overlap obstacle o, which is no mesh."""
+    overlaps = np.empty(len(faces), dtype=bool)
+    overlapping(obstacles.shapes, o, poses, faces, positions, overlaps)
+    return np.unique(faces[overlaps])
 
 
 def _crossing(

@@ -20,6 +20,7 @@ from msgspec.structs import replace as replaced
 from sim.contact.contacts import NO_CONTACTS, NOT_OVER, UNTOUCHED, UNWATCHED, Contacts, Touch, touch
 from sim.contact.detect import deepest, detect
 from sim.contact.eruption import erupts
+from sim.contact.escape import leave_together
 from sim.contact.faces import Faces
 from sim.contact.friction import SLOW
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings, gap_springs
@@ -148,23 +149,36 @@ class Pipeline:
         if self._resting:
             resting = self.touched.only(np.isin(self.touched.key, np.concatenate(self._resting)))
             after = after.and_also(resting.still())
+        after = after._replace(
+            over=self._with_what_follows(after.over, time + settings.dt, solution.positions)
+        )
         report.overrun = len(np.unique(after.over[:, 0]))
+        report.overrun_by = [OBSTACLE + self.obstacles.labels[o] for o in np.unique(after.over[:, 1])]
         return solution, after._replace(watched=touched.watched)
 
     def _not_apart(self, settings: Settings, response: Response | None, time: float, x: np.ndarray) -> Touch:
         """What the last step left to remember, with what of the cloth obstacles are over now."""
         over, watched = self.touched.over, UNWATCHED
         if response is not None and response.impulses and settings.detection != "static":
-            watched = np.flatnonzero(
-                self.obstacles.felt(settings).which & (self.obstacles.shapes.kind == MESH)
-            )
+            watched = np.flatnonzero(self.obstacles.felt(settings).which)
         new = watched[~np.isin(watched, self.touched.watched)]
         if len(over) or len(new):
-            about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
+            poses, around = self.obstacles.poses(time), box(x)
+            shapes, about = self.obstacles.shapes, (self._model.mesh, self.obstacles, poses, x)
+            near = within_reach(shapes, poses, poses, around, around, 0.0) | (shapes.kind == MESH)
+            new = new[near[new]]
             over = still_over(over, *about) if len(over) else over
             for o in new.tolist():
                 over = joined(over, found_over(o, *about))
         return self.touched._replace(over=over, watched=watched)
+
+    def _with_what_follows(self, over: np.ndarray, time: float, x: np.ndarray) -> np.ndarray:
+        """What is run `over` (k, 2), and what that drags into obstacles but meshes, at `x` (n, 3) [m]."""
+        about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
+        for o in np.unique(over[:, 1]).tolist():
+            if self.obstacles.shapes.kind[o] != MESH:
+                over = joined(over, found_over(o, *about))
+        return over
 
     def _acting(self, contacts: Contacts, way: _Way) -> Contacts:
         """Those that can move something within the scene's plane; what parts they join is noted.
@@ -236,6 +250,8 @@ class Pipeline:
                 response = replace(response, stiffness=STIFFER * response.stiffness)
             way = replace(way, settings=settings, erupted="")
             found = self._attempt(way, response, pairs, touched, last)
+        if way.erupted and last:
+            found = self._unfelt(way, pairs)
         if found is not None:
             if isinstance(part, Part):
                 part.close(found[0])
@@ -297,6 +313,20 @@ class Pipeline:
             near = near.and_also(hits)
         with report.phase("respond"):
             return self._respond(response, pairs, way, springs, contacts, solution, last)
+
+    def _unfelt(self, way: _Way, pairs: Pairs | None) -> tuple[Solution, Touch] | None:
+        """Take a step that feels no contact and hold back what meets; None where halves might do better.
+
+        For where contacts ask for what only a throw could do, however short the step.
+        """
+        report = way.report
+        with report.phase("solve"):
+            solution = way.solve(NO_GAP_SPRINGS, way.settings, way.x, way.v, None)
+        report.iterations += solution.iterations
+        way.part.respond_anew()
+        if not self._held_back(pairs, way, solution.positions, solution.velocities):
+            return None
+        return solution, UNTOUCHED._replace(over=way.over)
 
     def _projected(self, way: _Way, pairs: Pairs | None) -> tuple[Solution, Touch]:
         """Take a step that feels nothing, then put right what it led into."""
@@ -400,8 +430,11 @@ class Pipeline:
             if shapes is None:
                 return NO_CONTACTS
             path = way.x, end, self._unpinned, s.dt
-            about = shapes, way.before, way.after, *path, s.thickness, s.detection == "continuous"
-            return self._acting(detect(*about), way)
+            about = shapes, way.before, way.after
+            found = detect(*about, *path, s.thickness, s.detection == "continuous")
+            if response.impulses and (found.start < 0.0).any():
+                found = leave_together(found, *about, way.x, self._model.mesh.edges, s.dt)
+            return self._acting(found, way)
 
     @staticmethod
     def _fitted(known: Contacts, more: Contacts, end: np.ndarray, report: StepReport) -> Contacts:
@@ -471,8 +504,7 @@ class Pipeline:
         if found is None:
             return None
         end, met, pressed = found
-        watched = response.impulses and response.solved and not last
-        if watched:
+        if response.impulses and response.solved:
             way.erupted = erupts(self._model, s, met, pressed, way.x, way.v, solution, end)
         pressing = touch(met.key, pressed, felt.of(met.key)[1], h)
         return None if way.erupted else (end, pressing._replace(over=way.over))
@@ -539,8 +571,7 @@ class Pipeline:
             All contacts, and the impulses [N s] that they were given after the solve.
         """
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
-        hits_to = partial(self._hits, way, pairs)
-        resort = LastResort(self._faces, pairs, self._model.free, inverse_masses, hits_to)
+        resort = self._resort(pairs, way)
         for _ in range(MOST_ROUNDS):
             with report.phase("detect"):
                 hits, lost = resort.met(x)
@@ -561,14 +592,27 @@ class Pipeline:
             way.part.keep_apart(contacts, targets(response, contacts, h), *push, given, report)
             if s.friction > 0.0:
                 way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
-        if not last:
-            return None
+        return (contacts, given) if last and self._held_back(pairs, way, x, v) else None
+
+    def _resort(self, pairs: Pairs | None, way: _Way) -> LastResort:
+        masses, hits_to = self._model.inverse_masses, partial(self._hits, way, pairs)
+        return LastResort(self._faces, pairs, self._model.free, masses, hits_to)
+
+    def _held_back(self, pairs: Pairs | None, way: _Way, x: np.ndarray, v: np.ndarray) -> bool:
+        """Let vertices go to `x` as far as nothing is met; False where halves might yet do better.
+
+        What is held back gains no speed by it: forces that act on what does not give way do no work.
+        """
+        report, resort = way.report, self._resort(pairs, way)
         with report.phase("detect"):
             held, over, lost = resort.hold_back(way.x, x)
         if len(over.key) and not way.deepest:
-            return None
+            return False
+        which = np.flatnonzero(held)
+        went = (x[which] - way.x[which]) / way.settings.dt
+        way.part.slow(v, which, np.linalg.norm([went, way.v[which]], axis=2).max(axis=0))
         way.over = joined(way.over, resort.run_over(over.and_also(lost)))
         report.overruns += bool(len(over.key))
-        report.held_back += int(np.count_nonzero(held))
-        report.failsafes += bool(held.any())
-        return contacts, given
+        report.held_back += len(which)
+        report.failsafes += bool(len(which))
+        return True

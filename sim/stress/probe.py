@@ -15,6 +15,7 @@ import numpy as np
 
 from sim.report import StepError, StepReport
 from sim.scene import Obstacle, Scene
+from sim.shells import Shell
 from sim.simulation import Simulation, Snapshot
 from sim.stress import Figure, Task, at_most, cases
 from sim.stress.judge import Judge
@@ -121,14 +122,14 @@ class Picture:
         triangles: (m, 3).
         edges: (e, 2), of which some belong to no triangle.
         held: (n,) bool, vertices of pieces that are pinned as a whole, and stand for obstacles.
-        obstacles: Of the scene, with position (3,) and rotation (3, 3) of each.
+        obstacles: Of the scene, with the shell of each that is a mesh, its position (3,) and rotation (3, 3).
     """
 
     positions: np.ndarray
     triangles: np.ndarray
     edges: np.ndarray
     held: np.ndarray
-    obstacles: list[tuple[Obstacle, np.ndarray, np.ndarray]]
+    obstacles: list[tuple[Obstacle, Shell | None, np.ndarray, np.ndarray]]
 
 
 @dataclass
@@ -187,8 +188,8 @@ def run_task(task: Task) -> Outcome:
 
 def take_picture(world: Simulation) -> Picture:
     """Of a simulation as it is now."""
-    poses = zip(world.scene.obstacle, world.obstacle_poses(), strict=True)
-    placed = [(obstacle, position, rotation) for obstacle, (position, rotation) in poses]
+    parts = zip(world.scene.obstacle, world.mesh.shells, world.obstacle_poses(), strict=True)
+    placed = [(obstacle, shell, *pose) for obstacle, shell, pose in parts]
     free = np.bincount(world.pieces, weights=world.model.free) > 0.0
     held = ~free[world.pieces]
     return Picture(world.positions.copy(), world.triangles.copy(), world.edges.copy(), held, placed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import trimesh
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 import sim
@@ -114,6 +114,8 @@ def random_scene(seed):
 
 @within(10.0)
 @given(seed=st.integers(0, 2**31))
+@example(seed=11)  # what only the last resort stops
+@example(seed=5001)  # what is pinned drags in what is not
 def test_nothing_crosses_that_the_report_does_not_name(seed):
     """From a start that crosses nothing: cloth never crosses cloth, and obstacles only what they overrun."""
     made, speed = random_scene(seed)

@@ -400,6 +400,10 @@ def picture(obstacle=(), **more):
         {"kind": "plane"},
         {"kind": "box", "center": [0, 0, 0.2], "size": [0.3, 0.2, 0.1]},
         {"kind": "capsule", "start": [-0.1, 0, 0.2], "end": [0.1, 0, 0.2], "radius": 0.05},
+        {
+            "vertices": [[-0.2, -0.2, 0.1], [0.2, -0.2, 0.1], [0, 0.2, 0.1], [0, 0, 0.3]],
+            "triangles": [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]],
+        },
     ],
 )
 def test_a_picture_shows_every_triangle_of_cloth_and_some_of_an_obstacle(obstacle):
