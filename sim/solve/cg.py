@@ -22,7 +22,7 @@ from sim.compiled import CHUNKS, inner, kernel, parallel_kernel, share
 from sim.solve.coupling import coupled, move
 from sim.solve.preconditioner import in_order, precondition
 
-WINDOW = 2
+WINDOW = 3
 """Iterations between two looks at the error."""
 
 SLOWEST = 0.95
