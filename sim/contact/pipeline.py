@@ -174,6 +174,8 @@ class Pipeline:
 
     def _with_what_follows(self, over: np.ndarray, time: float, x: np.ndarray) -> np.ndarray:
         """What is run `over` (k, 2), and what that drags into obstacles but meshes, at `x` (n, 3) [m]."""
+        if not len(over):
+            return over
         about = self._model.mesh, self.obstacles, self.obstacles.poses(time), x
         for o in np.unique(over[:, 1]).tolist():
             if self.obstacles.shapes.kind[o] != MESH:
