@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SHARE = 0.02
-"""Of the time of steps that probes may take: with the ledger and what counts crossings, some 5 %."""
+SHARE = 0.03
+"""Of the time of steps that probes may take: with ledger and crossings some 5 %, mostly."""
 
-DEBT = 1.0
-"""Processor time [s] that may be owed for what changes had measured, which a minute of steps makes up for.
+DEBT = 0.25
+"""Processor time [s] that may be owed for what changes had measured, which 8 s of steps make up for.
 
 More is forgiven, or a while of changes would leave no regular reading for much longer than it took."""
 
