@@ -116,8 +116,8 @@ def error_hint(reading: Reading) -> str:
         return reading.why_not or "Not measured yet."
     at = f"Of a frame from {reading.time:.2f} s, as part of the cloth's size"
     if reading.quick:
-        more = "In a pause it is measured better."
-        return f"{at}: about so much, beside a run with a quarter of the step. {more}"
+        quick = "about so much, beside a run with a quarter of the step. In a pause it is measured better."
+        return f"{at}: {quick}"
     return f"{at}, beside a finer run that is known to a tenth of it, or has a sixteenth of the step."
 
 

@@ -326,7 +326,7 @@ class Pipeline:
             solution = way.solve(NO_GAP_SPRINGS, way.settings, way.x, way.v, None)
         report.iterations += solution.iterations
         way.part.respond_anew()
-        if not self._held_back(pairs, way, solution.positions, solution.velocities):
+        if not self._held_back(self._resort(pairs, way), way, solution.positions, solution.velocities):
             return None
         return solution, UNTOUCHED._replace(over=way.over)
 
@@ -594,18 +594,19 @@ class Pipeline:
             way.part.keep_apart(contacts, targets(response, contacts, h), *push, given, report)
             if s.friction > 0.0:
                 way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
-        return (contacts, given) if last and self._held_back(pairs, way, x, v) else None
+        return (contacts, given) if last and self._held_back(resort, way, x, v) else None
 
     def _resort(self, pairs: Pairs | None, way: _Way) -> LastResort:
         masses, hits_to = self._model.inverse_masses, partial(self._hits, way, pairs)
         return LastResort(self._faces, pairs, self._model.free, masses, hits_to)
 
-    def _held_back(self, pairs: Pairs | None, way: _Way, x: np.ndarray, v: np.ndarray) -> bool:
+    @staticmethod
+    def _held_back(resort: LastResort, way: _Way, x: np.ndarray, v: np.ndarray) -> bool:
         """Let vertices go to `x` as far as nothing is met; False where halves might yet do better.
 
         What is held back gains no speed by it: forces that act on what does not give way do no work.
         """
-        report, resort = way.report, self._resort(pairs, way)
+        report = way.report
         with report.phase("detect"):
             held, over, lost = resort.hold_back(way.x, x)
         if len(over.key) and not way.deepest:

@@ -231,14 +231,20 @@ def test_the_key_for_help_says_how_to_read_the_page_and_what_keys_do(page):
     assert box["y"] + box["height"] <= 560
 
 
-def test_keys_act_on_the_page_and_are_letters_in_a_box(page):
-    """A digit opens a scene, a letter acts; typed into a box they do nothing."""
+def lab_of_its_own(page):
+    """A lab whose two cloths move, and a page of it: to be stopped and closed by whoever asks for them."""
     FakeWorld.made.clear()
     lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
     lab.start()
     own_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
     visit(own_page, lab)
     wait_until(lambda: len(lab.frames) == 2 and lab.frames[0].time > 0, seconds=60)
+    return lab, own_page
+
+
+def test_keys_act_on_the_page_and_are_letters_in_a_box(page):
+    """A digit opens a scene, a letter acts; typed into a box they do nothing."""
+    lab, own_page = lab_of_its_own(page)
     box = row(own_page, "density").locator("input.mantine-TextInput-input")
     box.click()
     own_page.keyboard.type("2nwp r")
@@ -378,12 +384,7 @@ def test_chain_is_seen_without_a_triangle_and_without_an_error(page):
 
 def test_a_stopped_variant_is_led_on_by_undo_by_safe_settings_and_by_the_key(page):
     """The way out of a refused step as a hand takes it: the buttons come, act, and go."""
-    FakeWorld.made.clear()
-    lab = Lab(SCENE, port=0, build=FakeWorld, prepare=nothing_to_compile)
-    lab.start()
-    own_page = page.context.browser.new_page(viewport={"width": 900, "height": 560})
-    visit(own_page, lab)
-    wait_until(lambda: len(lab.frames) == 2 and lab.frames[0].time > 0, seconds=60)
+    lab, own_page = lab_of_its_own(page)
     undo, safe = (own_page.get_by_role("button", name=name) for name in (UNDO, SAFE))
     box = row(own_page, "density").locator("input.mantine-TextInput-input")
 
