@@ -242,8 +242,9 @@ class Pipeline:
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
         part = Part(self._model, x, v) if self.booked else UNBOOKED
-        last = halvings <= 0 or report.failsafes >= MOST_FAILSAFES
-        deepest = halvings == -MOST_DEEPER or (halvings <= 0 and report.overruns >= MOST_OVERRUNS)
+        many = pairs is not None and pairs.many
+        last = many or halvings <= 0 or report.failsafes >= MOST_FAILSAFES
+        deepest = many or halvings == -MOST_DEEPER or (halvings <= 0 and report.overruns >= MOST_OVERRUNS)
         way = _Way(settings, *poses, x, v, solve, report, part, deepest)
         found = self._attempt(way, response, pairs, touched, last)
         if way.erupted and response is not None and settings.newton < NEWTON:
