@@ -49,7 +49,7 @@ MOST_ASKED = 8_000_000
 """Pairs that may be asked in one step however small the cloth is: some ten seconds, for many parts."""
 
 MANY = 0.25
-"""Part of the pairs that may be asked in one step after which it is split no further, so that it ends in time."""
+"""Part of the pairs that may be asked in one step after which it is split no further: to end in time."""
 
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""

@@ -103,7 +103,7 @@ def test_cloth_that_can_give_way_is_not_run_over(kind, seed):
 
 
 def test_what_can_move_of_a_triangle_is_not_run_over_where_its_pinned_edge_is_passed_closely():
-    """Nothing can help that the edge comes nearer than the gap; what meets then is beside it, and can move."""
+    """Nothing can help that the edge comes nearer than the gap; what meets then lies beside it."""
     x = [[0.248, 0.08, -0.006], [0.248, 0.132, -0.006], [0.145, 0.132, -0.006]]
     keys = (
         (0.0, [0.297, 0.075, 0.156], [0, 0, 0]),
