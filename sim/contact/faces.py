@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from sim.compiled import Vec3, add, dot, inner, kernel, norm, put, row, scale, sub
+from sim.compiled import Vec3, add, cross, dot, inner, kernel, norm, put, row, scale, sub
 from sim.contact.closest import edge_edge, vertex_triangle
 from sim.contact.contacts import NO_CONTACTS, Contacts, make_contacts
 from sim.contact.detect import SAME_SIDE, into_frame, turn
@@ -313,7 +313,29 @@ def _plane(shape, a, b, c):
     w, core, r = _nearest(shape.half, a, b, c)
     length = norm(r)
     n = scale(1.0 / max(length, 1e-300), r)
+    if not _beyond(shape, n, a, b, c) > 0.0:
+        n = _axis(shape, n, a, b, c)
     return w, add(core, scale(shape.radius, n)), n, length - shape.radius
+
+
+@inner
+def _axis(shape, n, a, b, c):
+    """Whichever of n and the axes of a box and a triangle sets the two farthest apart.
+
+    For where they are all but touching: the difference of the nearest points is then mostly rounding, which a
+    long triangle magnifies, but these axes are exact. One of them sets any two apart that do not overlap
+    (Gottschalk, Lin and Manocha 1996).
+    """
+    best, most = n, _beyond(shape, n, a, b, c)
+    ab, bc, ca = sub(b, a), sub(c, b), sub(a, c)
+    for side in (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0)):
+        for m in (side, cross(side, ab), cross(side, bc), cross(side, ca), cross(ab, ca)):
+            length = norm(m)
+            for unit in (1.0 / max(length, 1e-300), -1.0 / max(length, 1e-300)):
+                beyond = _beyond(shape, scale(unit, m), a, b, c)
+                if length > 0.0 and beyond > most:
+                    best, most = scale(unit, m), beyond
+    return best
 
 
 @kernel

@@ -62,15 +62,17 @@ class LastResort:
     def met(self, end: np.ndarray) -> tuple[Contacts, Contacts]:
         """What meets on the way to `end` (n, 3) [m] and can be pushed apart, and what obstacles run over.
 
-        That weighs nothing that can move. With the obstacle that runs over a vertex, its other contacts are
-        let go, too.
+        That weighs nothing that can move. What comes so near where it is pinned may still meet elsewhere, and
+        can be pushed there. With the obstacle that runs over a vertex, its other contacts are let go, too.
         """
         hits = self.hits(end, 1.0)
-        fixed = ~np.isfinite(hits.masses(self.inverse_masses))
+        fixed = self._fixed(hits)
         if not fixed.any():
             return hits, NO_CONTACTS
-        hits, lost = hits.only(~fixed), self.hits(end, TOUCHING)
-        lost = lost.only(~np.isfinite(lost.masses(self.inverse_masses)))
+        touching = self.hits(end, TOUCHING)
+        run_over = self._fixed(touching)
+        lost, elsewhere = touching.only(run_over), np.isin(touching.key, hits.key[fixed])
+        hits = hits.only(~fixed).and_also(touching.only(elsewhere & ~run_over))
         of_hits, of_lost = self._obstacle(hits), self._obstacle(lost)
         gone = np.zeros(len(of_hits), dtype=bool)
         for o in np.unique(of_lost):
@@ -129,6 +131,10 @@ class LastResort:
         c, a = np.nonzero(contacts.weight != 0.0)
         over = np.stack([contacts.node[c, a], self._obstacle(contacts)[c]], axis=1).astype(np.int64)
         return over[over[:, 1] != NOBODY]
+
+    def _fixed(self, contacts: Contacts) -> np.ndarray:
+        """(c,) whether nothing that can move has a share in each of the contacts."""
+        return ~np.isfinite(contacts.masses(self.inverse_masses))
 
     def _obstacle(self, contacts: Contacts) -> np.ndarray:
         """(c,) the obstacle that each of the contacts is with, NOBODY where that is cloth."""

@@ -48,6 +48,9 @@ MOST_LISTS = 8
 MOST_ASKED = 8_000_000
 """Pairs that may be asked in one step however small the cloth is: some ten seconds, for many parts."""
 
+MANY = 0.25
+"""Part of the pairs that may be asked in one step after which it is split no further: to end in time."""
+
 NEARER = 0.495
 """Part of the way to what is nearest that a vertex may go where nothing else helps: two such never meet."""
 
@@ -139,6 +142,16 @@ class Pairs:
     def listed(self) -> int:
         """How many pairs there are on the list."""
         return 0 if self._list is None else len(self._list.kind)
+
+    @property
+    def most(self) -> int:
+        """Times a pair may be asked in one step whether it meets."""
+        return max(MOST_ASKED, MOST_LISTS * self._broad.most)
+
+    @property
+    def many(self) -> bool:
+        """Whether so many of these have been asked that the step should be split no further."""
+        return self.asked > MANY * self.most
 
     def forget(self) -> None:
         """Start with no list."""
@@ -265,9 +278,8 @@ class Pairs:
         if len(self._distance) != len(pairs.kind):
             self._measure(pairs)
         self.asked += len(pairs.kind)
-        most = max(MOST_ASKED, MOST_LISTS * self._broad.most)
-        if self.asked > most:
-            raise CandidateError(self.asked, most)
+        if self.asked > self.most:
+            raise CandidateError(self.asked, self.most)
 
     def _renew(self, end: np.ndarray) -> Candidates:
         """Make a new list for the way from the start to `end` (n + k, 3) [m]."""

@@ -242,8 +242,9 @@ class Pipeline:
         h = settings.dt
         poses = self.obstacles.poses(time), self.obstacles.poses(time + h)
         part = Part(self._model, x, v) if self.booked else UNBOOKED
-        last = halvings <= 0 or report.failsafes >= MOST_FAILSAFES
-        deepest = halvings == -MOST_DEEPER or (halvings <= 0 and report.overruns >= MOST_OVERRUNS)
+        many = pairs is not None and pairs.many
+        last = many or halvings <= 0 or report.failsafes >= MOST_FAILSAFES
+        deepest = many or halvings == -MOST_DEEPER or (halvings <= 0 and report.overruns >= MOST_OVERRUNS)
         way = _Way(settings, *poses, x, v, solve, report, part, deepest)
         found = self._attempt(way, response, pairs, touched, last)
         if way.erupted and response is not None and settings.newton < NEWTON:
@@ -497,6 +498,10 @@ class Pipeline:
             pressed = springs.pushes(solution.positions, solution.velocities, h)
         else:  # it pushed as it did at the start
             pressed = h * np.maximum(-springs.elements.tension, 0.0)
+        # One that presses and ends a hair beyond its thickness is found nowhere, but to forget it would let
+        # its vertex sink in at the next step, as one that lands does, and be thrown back by an impulse.
+        unseen = (pressed > 0.0) & ~np.isin(springs.contacts.key, contacts.key)
+        contacts = contacts.and_also(springs.contacts.only(unseen))
         slip = springs.slip(solution.velocities)
         felt = touch(springs.contacts.key, pressed, slip, h)
         left = np.where(slip <= SLOW, s.friction * pressed - h * springs.drag * slip, 0.0)

@@ -102,6 +102,24 @@ def test_cloth_that_can_give_way_is_not_run_over(kind, seed):
         assert not report.overrun
 
 
+def test_what_can_move_of_a_triangle_is_not_run_over_where_its_pinned_edge_is_passed_closely():
+    """Nothing can help that the edge comes nearer than the gap; what meets then lies beside it."""
+    x = [[0.248, 0.08, -0.006], [0.248, 0.132, -0.006], [0.145, 0.132, -0.006]]
+    keys = (
+        (0.0, [0.297, 0.075, 0.156], [0, 0, 0]),
+        (0.0703, [-0.318, 0.007, -0.274], [-2.348, -0.231, -0.756]),
+    )
+    path = [dict(zip(("time", "position", "rotation"), key, strict=True)) for key in keys]
+    plate = {"kind": "box", "center": [0, 0, 0], "size": [0.01, 0.179, 0.198]}
+    cloth = {"vertices": x, "triangles": [[0, 1, 2]], "pins": [0, 1]}
+    how = {"gravity": DOWN, "dt": 1 / 266, "thickness": 0.0115}
+    world, hits = sim.Simulation(scene(cloth, {**plate, "path": path, "motion": "linear"}, **how)), 0
+    for _ in range(4):
+        hits += world.step().hits
+        assert not touched(world)
+    assert hits
+
+
 def check_the_last_resort_alone(made, monkeypatch):
     """Without rounds of impulses, and in whole steps."""
     monkeypatch.setattr(pipeline, "MOST_ROUNDS", 0)

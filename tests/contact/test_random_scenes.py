@@ -6,6 +6,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 import sim
+from sim.contact import pairs
 from sim.integrators import INTEGRATORS
 from sim.scene import SceneError
 from sim.stress.contact import loose_triangles
@@ -112,19 +113,37 @@ def random_scene(seed):
     return made, float(rng.choice([0.0, 1.0, 10.0]))
 
 
+def started(seed):
+    """A world of the scene, moving."""
+    made, speed = random_scene(seed)
+    world = sim.Simulation(made)
+    world.place(world.positions, speed * np.random.default_rng(seed).standard_normal(world.positions.shape))
+    return world
+
+
+def check(world, report, x, time):
+    """Assert that what crosses is told, or passed through since cloth was at x (n, 3) and it was `time`."""
+    over = world.contact.touched.over[:, 0]
+    assert report.overrun == len(np.unique(over))
+    found = offending(world)
+    if report.substeps == 1:  # else the way had corners
+        found += passing(world, x, time)
+    for nodes, cloth in found:
+        assert not cloth, f"vertices {nodes} crossed each other"
+        assert np.isin(nodes, over).any(), f"vertices {nodes} are not said to be run over"
+
+
 @within(10.0)
 @given(seed=st.integers(0, 2**31))
 @example(seed=11)  # what only the last resort stops
 @example(seed=5001)  # what is pinned drags in what is not
 def test_nothing_crosses_that_the_report_does_not_name(seed):
     """From a start that crosses nothing: cloth never crosses cloth, and obstacles only what they overrun."""
-    made, speed = random_scene(seed)
     try:
-        world = sim.Simulation(made)
+        world = started(seed)
     except SceneError:  # it starts across itself, and is refused
         assume(False)
     assume(not offending(world))
-    world.place(world.positions, speed * np.random.default_rng(seed).standard_normal(world.positions.shape))
     for _ in range(STEPS):
         x, time = world.positions.copy(), world.time
         try:
@@ -132,11 +151,14 @@ def test_nothing_crosses_that_the_report_does_not_name(seed):
         except sim.StepError:
             assert np.array_equal(world.positions, x)
             return
-        over = world.contact.touched.over[:, 0]
-        assert report.overrun == len(np.unique(over))
-        found = offending(world)
-        if report.substeps == 1:  # else the way had corners
-            found += passing(world, x, time)
-        for nodes, cloth in found:
-            assert not cloth, f"vertices {nodes} crossed each other"
-            assert np.isin(nodes, over).any(), f"vertices {nodes} are not said to be run over"
+        check(world, report, x, time)
+
+
+def test_a_step_that_asks_too_much_is_brought_to_its_end(monkeypatch):
+    """With the best that was found until then; it would be refused again and again, as nothing changes."""
+    monkeypatch.setattr(pairs, "MOST_ASKED", 1_500_000)  # of 2.1 million, in 45 parts
+    monkeypatch.setattr(pairs, "MOST_LISTS", 0)
+    world = started(204)
+    x = world.positions.copy()
+    check(world, world.step(), x, 0.0)
+    assert world.contact._pairs.asked > pairs.MANY * pairs.MOST_ASKED
