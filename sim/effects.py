@@ -114,6 +114,7 @@ COLLISIONS = ("self_collision", "cloth_collision")
 """Effects whose pairs are of cloth and cloth."""
 
 NO_OBSTACLES, NO_TRIANGLES = "skipped: there are none", "skipped: no triangles"
+SPREAD_OUT = "skipped: cloth is spread out, no part of it is behind another"
 ONE_PIECE, ALONE = "skipped: there is one piece", "skipped: there is nothing to meet"
 SLACK = "skipped: their stiffness is zero"
 NEVER = (NO_OBSTACLES, NO_TRIANGLES, ONE_PIECE, ALONE, SLACK)
@@ -438,7 +439,7 @@ def _collision(name: str, settings: Settings, model: Model, report: StepReport) 
     if name == "cloth_collision" and not model.mesh.several:
         return ONE_PIECE
     if name not in report.looked and state(name, settings) != "on":
-        return "skipped: nothing within reach"
+        return SPREAD_OUT if report.outspread else "skipped: nothing within reach"
     words = _pairs(name, report)
     if not report.lists:
         words += "; the list of an earlier step holds"
@@ -453,7 +454,7 @@ def _edge_edge(settings: Settings, model: Model, report: StepReport, felt: bool)
     if not (_meets_cloth(settings, model) or felt):
         return ALONE
     if "edge_edge" not in report.looked and settings.edge_edge != "on":
-        return "skipped: no edge within reach of another"
+        return SPREAD_OUT if report.outspread else "skipped: no edge within reach of another"
     return _pairs("edge_edge", report)
 
 
@@ -468,7 +469,9 @@ def _continuous(settings: Settings, model: Model, report: StepReport, felt: bool
         return ALONE
     if report.sweeps or report.near_obstacles:
         return f"ran: {report.hits} kept from meeting" if report.hits else "ran"
-    return "skipped: all goes less far than half the way to what is nearest"
+    return (
+        SPREAD_OUT if report.outspread else "skipped: all goes less far than half the way to what is nearest"
+    )
 
 
 def _sleep(settings: Settings, model: Model, report: StepReport) -> str:

@@ -66,6 +66,8 @@ class StepReport:
         lists: Broad phases: lists of pairs that were made anew.
         looks: Times that the pairs on a list were looked at.
         sweeps: Times that it was looked whether they meet on the way.
+        outspread: Whether cloth was shown not to meet itself, as seen from one side no part of it is behind
+            another.
         near_obstacles: Those but meshes that could not be shown to be out of reach.
         sleeping: Parts of the cloth that sleep at the end of the step.
         asleep: Whether the step was left out, as all cloth sleeps: all else is of the last one that was not.
@@ -109,6 +111,7 @@ class StepReport:
     lists: int = 0
     looks: int = 0
     sweeps: int = 0
+    outspread: bool = False
     near_obstacles: set[str] = field(default_factory=set)
     sleeping: int = 0
     asleep: bool = False

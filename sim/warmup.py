@@ -22,7 +22,7 @@ from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 from sim.compiled import KERNELS
-from sim.contact import intersections
+from sim.contact import intersections, outspread
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
 from sim.effects import feels_cloth, feels_obstacles
 from sim.report import StepReport
@@ -53,6 +53,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     meshes = any(isinstance(part, ShellFile | ShellArrays) for part in scene.obstacle)
     felt = feels_obstacles(s, scene.obstacle_labels)
     touches = s.contact != "none" and (feels_cloth(s, len(scene.cloth) > 1) or (felt and meshes))
+    one_sheet = touches and len(scene.cloth) == 1 and not (felt and meshes) and s.self_collision != "off"
     looks = touches and (s.tangled == "untangle" or refuses(s))  # for what crosses at the start
     settings = {
         "bend": s.bend,
@@ -87,6 +88,8 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
             return exact and module in {"sim.solve.system", *(kind.module for kind in kinds)}
         if module == intersections.__name__:
             return looks
+        if module == outspread.__name__:
+            return one_sheet
         if module.startswith("sim.springs."):
             return kernel in rules
         if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:
@@ -103,6 +106,9 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     ):
         world = Simulation(small)
         _touch(world)
+        if one_sheet:
+            corners = np.arange(4, dtype=np.int32)
+            outspread.clearance(corners[None, :3], corners, np.eye(4, 3), np.eye(4, 3), 0.0)
         world.keep_ledger()  # which has no kernels of its own, but calls some that a linearised step does not
         world.step()
         if exact:

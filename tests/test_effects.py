@@ -407,7 +407,7 @@ class Pair:
     def step(self, forced=None):
         """Take a step with both; the forced one from the other's state, with no list of its own.
 
-        `forced` are the effects that it looks at in full, all that can be where left out.
+        `forced` are the effects that it looks at in full, all that can be where left out. Returns its report.
         """
         start = self.auto.snapshot()
         self.forced.restore(start)
@@ -428,6 +428,7 @@ class Pair:
         depths = self.auto.scene.obstacle_labels if all_of_it.penetrations else []
         assert len(depths) == 0 or not {OBSTACLE + label for label in depths} <= skipped
         self.skipped += len(skipped)
+        return report
 
 
 @pytest.mark.parametrize("name", [path.stem for path in scene_files()])

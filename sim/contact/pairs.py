@@ -17,6 +17,7 @@ from sim.contact.contacts import NO_CONTACTS, NOT_OVER, Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
 from sim.contact.obstacles import Solid
+from sim.contact.outspread import border_of, clearance
 from sim.contact.proximity import measure, meet
 from sim.contact.surface import build_surface, inside_flats
 from sim.mesh import Mesh
@@ -97,6 +98,8 @@ class Pairs:
         asked: Times a pair was asked whether it meets; for whoever takes a whole step to set to zero.
         reached: (parts, 2) bool, with what partners, and of which kind, bounds could not show that all pairs
             are out of reach; for whoever takes a whole step to set to False.
+        outspread: Whether the proof of `sim.contact.outspread` stood in for a list; for whoever takes a whole
+            step to set to False.
         felt: (parts, 2) how many pairs were found to be near or to meet, added up; for whoever takes a whole
             step to set to zero.
         counts: (parts, 2) how many pairs are on the list.
@@ -135,7 +138,10 @@ class Pairs:
         self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
         ends = mesh.rest_vertices[mesh.edges] if len(mesh.edges) else solid.vertices[solid.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
-        self.asked, self.listing = 0, 0.0
+        alone = feels.within and not feels.between and not len(solid.vertices)
+        self._border = border_of(mesh) if alone else None
+        self._clear: tuple[np.ndarray, float] | None = None
+        self.asked, self.listing, self.outspread = 0, 0.0, False
         self.forget()
 
     @property
@@ -184,6 +190,9 @@ class Pairs:
         self._reach = FELT * self.thickness
         known = self._list
         if known is None or self.exhaustive or known.reach != self._reach or not known.hold_at(self._start):
+            if self._spread_out(self._start, self._reach):
+                self.forget()
+                return NO_CONTACTS
             known = self._renew(self._start)
         self._bound(known)
         if self._apart > self._reach and not self.exhaustive:
@@ -207,9 +216,13 @@ class Pairs:
 
         To meet is to come nearer than a `part` of the gap.
         """
-        pairs = self._listed(end)
-        p, gap = len(pairs.kind), part * GAP * self.thickness
-        way = self._start, np.concatenate([end, self._after])
+        way, gap = (self._start, np.concatenate([end, self._after])), part * GAP * self.thickness
+        pairs = self._holding(way)
+        if pairs is None:
+            if self._spread_out(way[1], gap):
+                return NO_CONTACTS
+            pairs = self._renewed(way)
+        p = len(pairs.kind)
         far = 2.0 * strayed(way[1], way[0])
         if self._apart - far > gap and not self.exhaustive:
             return NO_CONTACTS
@@ -241,20 +254,43 @@ class Pairs:
         That is a part of their distance at the start from what is nearest, `rest` (n, 3) [m]. Returns those
         of them that would have gone farther.
         """
-        pairs = self._listed(end)
+        way = self._start, np.concatenate([end, self._after])
+        pairs = self._holding(way) or self._renewed(way)
         self._note(np.inf)
         self._look(pairs)
         least, node = np.full(len(self._start), np.inf), pairs.node
         np.minimum.at(least, node.ravel(), np.repeat(np.where(self._let_go(node), np.inf, self._distance), 4))
         return go_at_most(rest, end, which, NEARER * least[which])
 
-    def _listed(self, end: np.ndarray) -> Candidates:
-        """A list that holds for the way to `end` (n, 3) [m], with `_distance` of its pairs at the start."""
-        way, known = (self._start, np.concatenate([end, self._after])), self._list
-        if known is None or self.exhaustive or not known.hold_on(*way):
-            known = self._renew(way[1])
-            self._bound(known)
+    def _holding(self, way: tuple[np.ndarray, np.ndarray]) -> Candidates | None:
+        """The list, with bounds or `_distance` of its pairs at the start; None if it holds no longer."""
+        known = self._list
+        return None if known is None or self.exhaustive or not known.hold_on(*way) else known
+
+    def _renewed(self, way: tuple[np.ndarray, np.ndarray]) -> Candidates:
+        """A new list for the way, with bounds of its pairs at the start."""
+        known = self._renew(way[1])
+        self._bound(known)
         return known
+
+    def _spread_out(self, end: np.ndarray, room: float) -> bool:
+        """Whether cloth is shown to be spread out on the way to `end`, no two features within `room` [m].
+
+        Asked before a list is made, which costs ten times as much. Where it was shown before, with features
+        farther apart than that, it holds until vertices have gone past each other by as much as they were.
+        """
+        if self._border is None or self.exhaustive:
+            return False
+        if self._clear is not None:
+            places, distance = self._clear
+            far = 2.0 * max(strayed(self._start, places), strayed(end, places))
+            if distance * (1.0 - MARGIN) - far > room:
+                self.outspread = True
+                return True
+        distance = clearance(self._mesh.triangles, self._border, self._start, end, room)
+        self._clear = (end, distance) if distance > 0.0 else None
+        self.outspread |= distance > 0.0
+        return distance > 0.0
 
     def _bound(self, known: Candidates) -> None:
         """Set a lower bound of the distances of all pairs at the start; they are not measured."""

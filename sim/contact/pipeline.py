@@ -138,12 +138,12 @@ class Pipeline:
         self.parts, self._joins, self._resting = [], [NO_JOINS], []
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
-            pairs.reached[:], pairs.felt[:] = False, 0
+            pairs.reached[:], pairs.felt[:], pairs.outspread = False, 0, False
         touched = self._not_apart(settings, response, time, x)
         end = self._part(settings, response, pairs, time, x, v, touched, solve, report, MOST_HALVINGS)
         if pairs is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
-            report.felt = self._by_effect(pairs.felt)
+            report.felt, report.outspread = self._by_effect(pairs.felt), pairs.outspread
             report.looked = self._by_effect(np.where(pairs.reached, pairs.counts, 0))
         self.joins, (solution, after) = np.unique(np.concatenate(self._joins), axis=0), end
         if self._resting:
