@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sim.effects import Cost
+
+SLIGHT = 0.1
+"""Percent of a step below which a clock tells little."""
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -46,3 +53,15 @@ def round_above(value: float) -> float:
     """The nearest 1, 2 or 5 times a power of ten that is not below a positive number."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= value * (1 - 1e-9))
+
+
+def share_text(cost: Cost, total: float) -> str:
+    """A cost as part of a step of `total` milliseconds; where it has no figure, whose it is in."""
+    if cost.ms is None:
+        return "in contact"
+    if not (cost.ms and total > 0.0):
+        return "0"
+    part = 100.0 * cost.ms / total
+    if part < SLIGHT:
+        return f"< {SLIGHT} %"
+    return f"{'< ' * cost.most}{written(part, 1 if part < 1.0 else 2)} %"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,8 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRe
 from rich.table import Table
 
 import sim
+from server.digits import share_text
+from sim.effects import cost
 from sim.export import Recording, check_outputs, check_size, save_json
 from sim.scene import Scene
 from sim.settings import convert
@@ -148,7 +151,17 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
         "energy_jumps": sum(report.energy_jumps for report in reports),
         "momentum": {"linear": linear.tolist(), "angular": angular.tolist()},
         "effects": reports[-1].effects if reports else {},
+        "shares": {name: _share(name, reports) for name in (reports[-1].effects if reports else ())},
     }
+
+
+def _share(name: str, reports: Sequence[StepReport]) -> dict[str, Any]:
+    """What an effect took of the steps: medians, and where the figure is from, or why there is none."""
+    costs = [cost(name, report.effects[name], report) for report in reports]
+    known, last = [each.ms for each in costs if each.ms is not None], costs[-1]
+    middle, total = median(known) if known else None, median(report.ms["total"] for report in reports)
+    text = share_text(last._replace(ms=middle), total)
+    return {"ms": middle, "at_most": last.most, "text": text, "why": last.why}
 
 
 def _spread(values: Any) -> dict[str, float]:
@@ -176,4 +189,6 @@ def _table(summary: dict[str, Any]) -> Table:
         table.add_row(f"{name} momentum at the end [{unit}]", f"{math.hypot(*summary['momentum'][name]):.4g}")
     for name, words in summary["effects"].items():
         table.add_row(f"{name} in the last step", words)
+    for name, share in summary["shares"].items():
+        table.add_row(f"{name} [part of the step, median]", share["text"])
     return table

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SHARE = 0.03
+SHARE = 0.02
 """Of the time of steps that probes may take: with ledger and crossings some 5 %, mostly."""
 
 DEBT = 0.25

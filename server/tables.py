@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from server import style
-from server.digits import written
+from server.digits import share_text, written
 from server.labels import (
     ON_PURPOSE,
     effects,
@@ -22,7 +22,7 @@ from server.labels import (
 from server.meter import Meter
 from server.palette import VARIANTS
 from sim.accounts import DISSIPATED, INJECTED, meaning
-from sim.effects import does
+from sim.effects import cost, does
 
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
@@ -228,33 +228,28 @@ def energy_text(energy: float, floor: float, digits: int) -> str:
 
 
 def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
-    """Which effects ran in each variant, and why not, where they did not."""
+    """Which effects ran in each variant and what they took of the newest step, or why they did not run."""
     parts = []
     for i, (name, meter) in enumerate(zip(names, meters, strict=True)):
-        costs, total = effect_costs(meter)
-        rows = "".join(effect_row(k, v, costs.get(k), total) for k, v in effects(meter).items())
+        rows = "".join(effect_row(*said, meter.latest.report) for said in effects(meter).items())
         parts.append(
             f"<h1>{style.chip(VARIANTS[i])}{escape(name)}</h1><table>{rows or style.UNKNOWN}</table>"
         )
     return f'<div class="muslin effects">{"".join(parts)}</div>'
 
 
-def effect_costs(meter: Meter) -> tuple[Mapping[str, float], float]:
-    """Milliseconds of the newest step by effect, and of all of it; none before there is one."""
-    report = meter.latest.report
-    total = getattr(report, "ms", None) or {}
-    return getattr(report, "costs", None) or {}, total.get("total", 0.0)
-
-
-def effect_row(name: str, word: str, cost: float | None = None, total: float = 0.0) -> str:
-    """What a step says about one effect, and its part of the step's milliseconds; an unstable one is bad."""
-    look, bar = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else "", ""
-    if cost is not None and total > 0.0:
-        part = min(100.0 * cost / total, 100.0)
-        looks = f"border-left:{part:.1f}px solid currentColor;height:.5em;display:inline-block"
-        hint = f"{part:.0f} % of the step, without what it adds to the work of the solver"
-        bar = f'<div style="{looks}" title="{hint}"></div> {cost:.2f} ms'
+def effect_row(name: str, word: str, report: Any) -> str:
+    """What a step says about one effect, and its part of the step's time; an unstable one is bad."""
+    look = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else ""
+    took, total = cost(name, word, report), report.ms.get("total", 0.0)
+    part = share_text(took, total)
+    if took.ms and total > 0.0:
+        wide = min(100.0 * took.ms / total, 100.0) * (not took.most)
+        looks = f"border-left:{wide:.1f}px solid currentColor;height:.5em;display:inline-block"
+        part = f'<div style="{looks}"></div> {part}<br>{took.ms:.2g} ms'
+    hint = f"{share_text(took, total)} of the step: {took.why}"
     title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
     return (
-        f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td><td>{bar}</td><td>{words}</td></tr>'
+        f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td>'
+        f'<td title="{escape(hint)}">{part}</td><td>{words}</td></tr>'
     )

@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import msgspec
 
@@ -244,6 +244,42 @@ def chosen(settings: Settings, choices: Mapping[str, str], known: Mapping[str, E
         if choice != "auto":
             settings = msgspec.structs.replace(settings, **changes)
     return settings
+
+
+class Cost(NamedTuple):
+    """What an effect takes of a step.
+
+    Attributes:
+        ms: Milliseconds; None where there is no figure.
+        most: Whether it takes less than that.
+        why: Where the figure is from, or why there is none.
+    """
+
+    ms: float | None
+    most: bool
+    why: str
+
+
+def cost(name: str, words: str, report: StepReport) -> Cost:
+    """What a step says that an effect, or what else it says `words` of, took of its time."""
+    if words.startswith("off"):
+        return Cost(0.0, False, "nothing of it is computed")
+    if name in report.costs:
+        how = "shared out evenly among those that are looked at" * name.startswith(OBSTACLE)
+        return Cost(report.costs[name], False, how or "without what it adds to the work of the solver")
+    if name in report.costs_below:
+        return Cost(report.costs_below[name], True, "it is computed along with the forces of springs")
+    if words.startswith("skipped"):
+        return Cost(0.0, False, "nothing of it was computed in this step")
+    if name == "contact":
+        return Cost(report.ms.get("respond", 0.0), False, "what contacts are given after the solve")
+    if name == "integrator":
+        forces = sum(report.costs.get(effect, 0.0) for effect in (*SPRINGS.values(), "wind", "gravity"))
+        left = max(report.ms.get("solve", 0.0) - forces, 0.0)
+        return Cost(left, False, "the solver, without springs, wind and gravity")
+    if name in TOLD_BESIDES:
+        return Cost(0.0, False, "nothing of it was computed in this step")
+    return Cost(None, False, "in the figure of contact, which has it of one piece")
 
 
 class Told:

@@ -98,6 +98,9 @@ def set_damping(elements, inverse_masses, ratios):
 
 @inner
 def _damp(elements, part, inverse_masses, ratios):
+    if len(ratios) == 1 and ratios[0, 1] == 0.0:
+        elements.damping[part[0] : part[1]] = 0.0
+        return
     for e in range(part[0], part[1]):
         inverse = 0.0
         for a in range(elements.nodes.shape[1]):
@@ -126,19 +129,28 @@ def _ratio_at(ratios, square):
 
 @parallel_kernel
 def set_tension(elements, velocities):
-    """Fill s = K (q − q0) + b (Σ g_a·v_a − drift)."""
+    """Fill s = K (q − q0) + b q̇; returns Σ ½ K (q − q0)² [J], which is stored, and Σ b q̇² [W], the loss."""
+    sums = np.empty((CHUNKS, 2))
     for chunk in numba.prange(CHUNKS):
-        _tense(elements, share(chunk, len(elements.q)), velocities)
+        sums[chunk, 0], sums[chunk, 1] = _tense(elements, share(chunk, len(elements.q)), velocities)
+    stored = taken = 0.0
+    for chunk in range(CHUNKS):
+        stored, taken = stored + sums[chunk, 0], taken + sums[chunk, 1]
+    return stored, taken
 
 
 @inner
 def _tense(elements, part, velocities):
+    stored = taken = 0.0
     for e in range(part[0], part[1]):
         rate = -elements.drift[e]
         for a in range(elements.nodes.shape[1]):
             rate += dot(corner(elements.gradient, e, a), row(velocities, elements.nodes[e, a]))
         stretch = elements.q[e] - elements.rest[e]
         elements.tension[e] = elements.stiffness[e] * stretch + elements.damping[e] * rate
+        stored += 0.5 * elements.stiffness[e] * stretch * stretch
+        taken += elements.damping[e] * rate * rate
+    return stored, taken
 
 
 @parallel_kernel
@@ -183,8 +195,12 @@ def _set_factors(elements, part, h, bends):
 
 @kernel
 def elastic_energy(elements):
-    """Σ ½ K (q − q0)² [J]."""
+    """Σ ½ K (q − q0)² [J], to the bit as `set_tension` has it."""
     total = 0.0
-    for e in range(len(elements.q)):
-        total += 0.5 * elements.stiffness[e] * (elements.q[e] - elements.rest[e]) ** 2
+    for chunk in range(CHUNKS):
+        stored, part = 0.0, share(chunk, len(elements.q))
+        for e in range(part[0], part[1]):
+            stretch = elements.q[e] - elements.rest[e]
+            stored += 0.5 * elements.stiffness[e] * stretch * stretch
+        total += stored
     return total

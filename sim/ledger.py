@@ -173,26 +173,23 @@ class Tally:
     def _rates(self, x: np.ndarray, v: np.ndarray, felt: Felt, anew: bool) -> np.ndarray:
         n = len(x)
         rates = np.zeros((4 * n + 2, 3))
-        rates[:n] = self._model.forces(x, v, anew)
+        rates[:n], taken = self._model.felt(x, v, anew)
         rates[2 * n : 3 * n], rates[3 * n : 4 * n] = felt.normal, felt.friction
-        rates[4 * n, :2], rates[4 * n + 1, :2] = self._powers(v), felt.carried
+        rates[4 * n, 0], rates[4 * n, 1] = sum(taken.values()), self._wrong(v, taken)
+        rates[4 * n + 1, :2] = felt.carried
         if self._model.wind is not None:
             rates[4 * n, 2] = self._model.wind.power(v)
         return rates
 
-    def _powers(self, v: np.ndarray) -> tuple[float, float]:
-        """What damping takes [W], and what springs that are wrong on purpose give; after `forces`."""
-        damping = wrong = 0.0
+    def _wrong(self, v: np.ndarray, taken: Account) -> float:
+        """What springs that are wrong on purpose give [W], their damping aside, which has `taken` its own."""
+        given = 0.0
         for springs in self._model.springs:
-            e = springs.elements
-            if not springs.acts:
-                continue
-            viscous = e.tension - e.stiffness * (e.q - e.rest)  # b q̇
-            damped = float(viscous @ np.divide(viscous, e.damping, where=e.damping > 0.0, out=0.0 * viscous))
-            damping += damped
-            if springs.kind.wrong:
-                wrong -= float(e.tension @ np.einsum("eki,eki->e", e.gradient, v[e.nodes])) - damped
-        return damping, wrong
+            if springs.kind.wrong and springs.acts:
+                e = springs.elements
+                given -= float(e.tension @ np.einsum("eki,eki->e", e.gradient, v[e.nodes]))
+                given += taken[springs.name]
+        return given
 
 
 class Unbooked:
@@ -301,4 +298,4 @@ class Part:
 
 
 def _work(velocities: np.ndarray, impulses: np.ndarray) -> float:
-    return float(np.sum(velocities * impulses))
+    return float(np.einsum("ij,ij->", velocities, impulses))

@@ -42,6 +42,7 @@ class Model:
         springs: one per kind in force; those without stiffness are there, and nothing is done about them.
         wind: The air, where it acts.
         costs: Milliseconds spent on each effect, added up.
+        costs_below: The same of work that an effect shares with others.
         matrix: A, filled by `linearise`.
         coupling: What contacts add to A between vertices.
         preconditioner: of A, refreshed for each solve.
@@ -59,6 +60,8 @@ class Model:
         self._forces = np.zeros((n, 3))
         self.wind: Wind | None = None
         self.costs: dict[str, float] = {}
+        self.costs_below: dict[str, float] = {}
+        self._known: tuple[np.ndarray, dict[str, float]] | None = None
         self.damping_ratios = damping_ratios(settings)
         self._set_masses()
         self._set_springs()
@@ -66,7 +69,7 @@ class Model:
 
     def apply(self, settings: Settings, positions: np.ndarray) -> None:
         """Take over new settings; a new spring kind starts from the present `positions` (n, 3)."""
-        old, self.settings = self.settings, settings
+        old, self.settings, self._known = self.settings, settings, None
         idle = [springs for springs in self.springs if not springs.acts]
         if (old.mass, old.density) != (settings.mass, settings.density):
             self._set_masses()
@@ -141,13 +144,15 @@ class Model:
         the air's drag and lift are those of the velocities `lag` (n, 3), where given.
         """
         self.measure(positions)
-        self._forces[:] = self.masses[:, None] * np.asarray(self.settings.gravity)
+        self._weigh(self._forces)
         reset(self.matrix, self.masses)
         for springs, gather in self._acting():
             begin, elements = perf_counter(), springs.elements
             curvature = springs.curvature(positions) if exact else None
             bends = NONE if curvature is not None else BENDS[springs.kind.bends]
+            fused = perf_counter()
             linearise(elements, velocities, self.inverse_masses, self.damping_ratios, h, bends)
+            self._spent_with_damping(fused)
             add_elements(elements, gather, bends, self.matrix)
             if curvature is not None:
                 add_curvature(elements, gather, curvature, h, self.matrix)
@@ -162,6 +167,15 @@ class Model:
             confine(self.matrix, self.masses, self.axis, self._forces)
         self.coupling = contacts.linearise(positions, velocities, h, self.matrix, self._forces)
         return self._forces
+
+    def _weigh(self, forces: np.ndarray) -> None:
+        """Have `forces` (n, 3) [N] be those of gravity alone."""
+        if not any(self.settings.gravity):
+            forces[:] = 0.0
+            return
+        begin = perf_counter()
+        np.multiply(self.masses[:, None], np.asarray(self.settings.gravity), out=forces)
+        self._spent("gravity", begin)
 
     def _acting(self) -> list[tuple[Springs, Gather]]:
         """The springs that have some stiffness, and their gather lists."""
@@ -199,19 +213,30 @@ class Model:
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray, anew: bool = True) -> np.ndarray:
         """(n, 3) elastic, damping, gravity and wind forces [N]; b `anew`, or as last linearised."""
+        return self.felt(positions, velocities, anew)[0]
+
+    def felt(
+        self, positions: np.ndarray, velocities: np.ndarray, anew: bool
+    ) -> tuple[np.ndarray, dict[str, float]]:
+        """The `forces`, and what the damping of each kind takes [W]; `energies` there are known then, too."""
         self.measure(positions)
-        forces = self.masses[:, None] * np.asarray(self.settings.gravity)
+        forces = np.empty_like(positions)
+        self._weigh(forces)
+        stored, taken = dict.fromkeys((springs.name for springs in self.springs), 0.0), {}
         for springs, gather in self._acting():
             if anew:
+                begin = perf_counter()
                 set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
-            set_tension(springs.elements, velocities)
+                self._spent_with_damping(begin)
+            stored[springs.name], taken[springs.name] = set_tension(springs.elements, velocities)
             add_forces(springs.elements, gather, forces)
+        self._know(positions, stored)
         if self.wind is not None:
             self.wind.measure(positions, velocities)
             self.wind.push(velocities, forces)
         if self.axis is not None:
             forces[:, self.axis] = 0.0
-        return forces
+        return forces, taken
 
     def accelerations(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) forces over masses [m/s²], zero for pinned vertices."""
@@ -219,10 +244,17 @@ class Model:
 
     def energies(self, positions: np.ndarray) -> dict[str, float]:
         """Potential energy [J] of gravity (zero at the origin) and of each spring kind."""
+        if self._known is not None and np.array_equal(positions, self._known[0]):
+            return dict(self._known[1])
         self.measure(positions)
+        stored = {s.name: float(elastic_energy(s.elements)) if s.acts else 0.0 for s in self.springs}
+        return dict(self._know(positions, stored))
+
+    def _know(self, positions: np.ndarray, stored: dict[str, float]) -> dict[str, float]:
+        """Keep what springs have `stored` [J] at `positions`: a ledger and who shows it ask for it again."""
         gravity = -float(self.masses @ (positions @ np.asarray(self.settings.gravity)))
-        springs = {s.name: float(elastic_energy(s.elements)) if s.acts else 0.0 for s in self.springs}
-        return {"gravity": gravity, **springs}
+        self._known = positions.copy(), {"gravity": gravity, **stored}
+        return self._known[1]
 
     def potential(self, positions: np.ndarray, contacts: GapSprings) -> float:
         """Potential energy [J] of everything that the implicit step feels."""
@@ -252,6 +284,12 @@ class Model:
         """Book the time since `begin` for an effect."""
         self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (perf_counter() - begin)
 
+    def _spent_with_damping(self, begin: float) -> None:
+        """Book the time since `begin` as more than damping takes: forces are made in the same pass."""
+        if self.settings.gamma > 0.0:
+            took = 1e3 * (perf_counter() - begin)
+            self.costs_below["damping"] = self.costs_below.get("damping", 0.0) + took
+
     def remember(self, positions: np.ndarray, springs: list[Springs] | None = None) -> tuple[int, float]:
         """Accept `positions`: what the coordinates remember of them is kept, and kinds choose who acts next.
 
@@ -267,12 +305,15 @@ class Model:
         """Start anew at `positions` (n, 3), with nothing remembered but them."""
         for s in self.springs:
             s.recall(0.0)
+        self._known = None
         self.remember(positions)
 
     def choose(self) -> tuple[int, float]:
         """Let each kind choose, from what was last measured, which of its elements act; as `remember`."""
         changes = [springs.choose(self.settings) for springs, _ in self._acting()]
-        return sum(count for count, _ in changes), sum(energy for _, energy in changes)
+        if count := sum(count for count, _ in changes):
+            self._known = None
+        return count, sum(energy for _, energy in changes)
 
     def memory(self) -> dict[str, np.ndarray]:
         """A copy of what the coordinates remember, by kind."""
@@ -282,5 +323,6 @@ class Model:
         """Put back what `memory` returned at `positions` (n, 3)."""
         for s in self.springs:
             s.recall(memory[s.name])
+        self._known = None
         self.measure(positions)
         self.choose()

@@ -73,6 +73,7 @@ class StepReport:
         asleep: Whether the step was left out, as all cloth sleeps: all else is of the last one that was not.
         discarded: Kinetic energy that cloth had when it fell asleep at the end of the step [J].
         costs: Milliseconds by effect, of the work that is done for it alone.
+        costs_below: The same of work that it shares with others, so that it takes less than that.
     """
 
     ms: dict[str, float] = field(default_factory=dict)
@@ -117,6 +118,7 @@ class StepReport:
     asleep: bool = False
     discarded: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)
+    costs_below: dict[str, float] = field(default_factory=dict)
     _within: float = field(default=0.0, repr=False)
 
     @contextmanager

@@ -181,7 +181,10 @@ class Simulation:
     def momentum(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear momentum (3,) [kg m/s] and angular momentum about the origin (3,) [kg m²/s]."""
         linear = self.model.masses[:, None] * self._velocities
-        return linear.sum(axis=0), np.cross(self._positions, linear).sum(axis=0)
+        about = np.einsum(
+            "ni,nj->ij", self._positions, linear
+        )  # a quarter of what each one's cross product takes
+        return linear.sum(axis=0), (about - about.T)[[1, 2, 0], [2, 0, 1]]
 
     def forces(self) -> np.ndarray:
         """(n, 3) elastic, damping, gravity and wind forces [N] at the present state, contact left out."""
@@ -332,7 +335,7 @@ class Simulation:
         if self.asleep:
             return self._sleep(begin)
         self.model.hold(self.sleeping)
-        self.model.costs = report.costs
+        self.model.costs, self.model.costs_below = report.costs, report.costs_below
         try:
             if not ramp.over:
                 self._go_over(ramp.after(self.settings.dt))
@@ -340,7 +343,8 @@ class Simulation:
                 solution, touch = self._advance(report)
                 while self.sleeping.any() and self._rest.rouse(self._rest.touched(self.contact.joins)):
                     self.model.hold(self.sleeping)
-                    report = StepReport(ms=report.ms, costs=report.costs)
+                    kept = {name: getattr(report, name) for name in ("ms", "costs", "costs_below")}
+                    report = StepReport(**kept)
                     solution, touch = self._advance(report)
         except StepError:
             if ramp is not self._ramp:
@@ -359,7 +363,8 @@ class Simulation:
                 depths = self.contact.depths(self._time, self._positions, self.settings)
                 report.penetrations, report.deepest = int(np.count_nonzero(depths)), float(depths.max())
             if self.settings.sleep == "auto":
-                self._settle(*before, report)
+                with report.spent("sleep"):
+                    self._settle(*before, report)
             report.effects = self._effects(report)
         report.close(begin)
         self._last = report
@@ -393,7 +398,9 @@ class Simulation:
 
     def _sleep(self, begin: float) -> StepReport:
         """Let time pass, in a step that began at `begin` [s]."""
-        report = replace(self._last, ms=dict.fromkeys(self._last.ms, 0.0), costs={}, asleep=True)
+        report = replace(
+            self._last, ms=dict.fromkeys(self._last.ms, 0.0), costs={}, costs_below={}, asleep=True
+        )
         report.iterations = report.newton = report.energy_jumps = 0
         report.moved = report.discarded = report.wind_work = 0.0
         report.energy_injected = report.energy_jump = 0.0

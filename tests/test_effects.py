@@ -1,12 +1,13 @@
 """Effects: how they are chosen, what a step says of them, and that auto skips nothing that acts."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sim
-from sim.effects import EFFECTS, OBSTACLE, chosen, effects_with, state, switch
+from sim.effects import EFFECTS, OBSTACLE, chosen, cost, effects_with, state, switch
 from sim.scene import scene_files
 from sim.settings import Settings
 from sim.springs import build
@@ -294,7 +295,7 @@ def test_what_is_left_out_says_so_and_costs_nothing(name):
     )
     report = world.step()
     assert report.effects[name].startswith("off: ")
-    assert name not in report.costs
+    assert name not in report.costs | report.costs_below
     with_it = sim.Simulation(scene(grid(position=[0, 0, 0.305]), ball(radius=0.3), **usual)).step()
     assert not with_it.effects[name].startswith("off")
 
@@ -576,3 +577,79 @@ def test_no_state_that_an_adversary_makes_has_auto_skip_what_acts(seed):
 def test_the_adversary_is_worth_its_name():
     """It makes states in which effects are skipped; else it would test nothing."""
     assert sum(attack(seed) for seed in range(12)) > 50
+
+
+# What they cost
+
+
+@pytest.mark.parametrize("contact", ["impulse", "penalty", "postprocess", "none"])
+def test_every_effect_of_a_step_has_a_figure_or_says_whose_it_is_in(contact):
+    obstacles = (
+        ball(radius=0.3, name="ball"),
+        {"kind": "plane", "point": [0, 0, -1]},
+        {**SHELL, "name": "mesh"},
+    )
+    usual = {"altitudes": "all", "drag": 1.2, "strain_limit": 0.1, "gravity": [0, 0, -9.81], "sleep": "auto"}
+    world = sim.Simulation(scene(LOW, *obstacles, self_collision="auto", contact=contact, **usual))
+    for _ in range(4):
+        report = world.step()
+    costs = {name: cost(name, words, report) for name, words in report.effects.items()}
+    unknown = {name for name, found in costs.items() if found.ms is None}
+    assert unknown <= ({"friction"} if contact == "postprocess" else set())
+    assert all(found.why for found in costs.values())
+    ran = {name for name, words in report.effects.items() if words.startswith("ran")}
+    assert {"gravity", "damping", "stretch"} <= ran
+    assert all(costs[name].ms > 0.0 for name in ran - unknown)
+    assert sum(found.ms for found in costs.values() if found.ms and not found.most) < 1.5 * report.ms["total"]
+
+
+def test_what_one_obstacle_takes_is_its_part_of_what_all_take():
+    """Two balls that are near are asked alike, one far away is not; of meshes, by their pairs."""
+    near = ball((-0.3, 0.0, 0.0), 0.3), ball((0.3, 0.0, 0.0), 0.3)
+    meshes = (
+        {**SHELL, "name": "mesh"},
+        {**SHELL, "vertices": [[0, 0, 9], [1, 0, 9], [0, 1, 9]], "name": "high"},
+    )
+    world = sim.Simulation(scene(LOW, *near, ball((9, 9, 9), 0.1), *meshes))
+    for _ in range(3):
+        report = world.step()
+    parts = {name: ms for name, ms in report.costs.items() if name.startswith(OBSTACLE)}
+    assert parts.keys() == {f"{OBSTACLE}{label}" for label in ("0", "1", "mesh")}
+    assert parts["obstacle 0"] == parts["obstacle 1"]
+    assert sum(parts.values()) == pytest.approx(report.costs["obstacles"])
+    away = sim.Simulation(scene(LOW, ball((9, 9, 9), 0.1), ball((-9, 9, 9), 0.1)))
+    report = away.step()
+    assert report.effects["obstacle 0"].startswith("skipped")
+    assert report.costs["obstacle 0"] == report.costs["obstacle 1"] > 0.0  # to see that they are away
+
+
+def test_gravity_is_timed_where_it_acts_and_nowhere_else(monkeypatch):
+    """A weighing that takes 5 ms is told as such."""
+    weigh = np.multiply
+
+    def slow(*about, **how):
+        time.sleep(5e-3)
+        return weigh(*about, **how)
+
+    heavy, light = (sim.Simulation(scene(LOW, gravity=[0, 0, g])) for g in (-9.81, 0.0))
+    for world in heavy, light:
+        world.step()
+    monkeypatch.setattr(sim.model, "np", SimpleNamespace(**vars(np) | {"multiply": slow}))
+    report = heavy.step()
+    assert 5.0 <= report.costs["gravity"] < report.ms["total"]
+    assert cost("gravity", "ran", report).ms == report.costs["gravity"]
+    assert "gravity" not in light.step().costs
+
+
+def test_damping_is_told_as_a_part_of_the_springs_and_off_it_is_not_computed():
+    damped, free = (sim.Simulation(scene(LOW, gamma=gamma)) for gamma in (0.2, 0.0))
+    for world in damped, free:
+        world.step()
+    report = damped.step()
+    found = cost("damping", report.effects["damping"], report)
+    assert found.most
+    assert 0.0 < found.ms < report.costs["stretch"] + report.costs["bending"]
+    report = free.step()
+    assert "damping" not in report.costs_below
+    assert cost("damping", report.effects["damping"], report).ms == 0.0
+    assert not any(springs.elements.damping.any() for springs in free.model.springs)

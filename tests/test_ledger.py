@@ -75,6 +75,26 @@ def test_damping_takes_what_the_exact_motion_loses_and_the_rest_shrinks_with_the
         assert abs(fine) < 1.25 * abs(coarse) / shrinks + 1e-9  # the next order is still a part of it
 
 
+def test_books_of_a_step_evaluate_no_spring_for_its_energy_that_their_forces_have_not(monkeypatch):
+    """Where a step ends, and the next begins, forces have been tallied; the page asks for them there, too."""
+    import sim.model
+
+    world = kept(grid(pins=["corner00"]), contact="none", bend="angle", gravity=DOWN)
+    run(world, 0.1)
+    known = world.energy()
+    measured = []
+    energy = sim.model.elastic_energy
+    monkeypatch.setattr(sim.model, "elastic_energy", lambda e: measured.append(1) or energy(e))
+    for _ in range(5):
+        world.step()
+        assert world.ledger.energy == world.energy() != known
+    assert not measured
+    plain = sim.Simulation(world.scene)
+    plain.place(world.positions)
+    assert plain.model.energies(plain.positions) == world.model.energies(world.positions)
+    assert measured
+
+
 def test_free_fall_in_steps_of_backward_euler_loses_half_m_g_squared_h_squared_each():
     world = kept(chain([[0, 0, 1]], [2.0]), contact="none", dt=0.01, gravity=DOWN)
     ledger = run(world, 0.5)

@@ -257,3 +257,10 @@ def test_stepping_with_the_usual_solver_does_not_wait_for_scipys_sparse_matrices
         "sys.exit('scipy.sparse' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_angular_momentum_is_the_sum_of_every_vertex_s():
+    world = sim.Simulation(scene(irregular(1, 50)))
+    world.place(world.positions, np.random.default_rng(0).standard_normal(world.positions.shape))
+    each = np.cross(world.positions, world.masses[:, None] * world.velocities)
+    np.testing.assert_allclose(world.momentum()[1], each.sum(axis=0), rtol=1e-12)

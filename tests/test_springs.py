@@ -14,6 +14,7 @@ from sim.elements import LENGTH, elastic_energy, make_elements, set_damping, set
 from sim.springs import BENDING, STRETCH
 from sim.springs.build import fold, measure_each
 from sim.stress.measures import elements_at, swept
+from tests.worlds import irregular, scene
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "methods.json").read_text())
 KINDS = {**STRETCH, **BENDING}
@@ -306,3 +307,18 @@ def test_a_rest_hinge_whose_coordinate_feels_no_fold_is_left_out_and_said_so():
     assert world.energy()["modified"] == 0.0
     assert np.isfinite(world.forces()).all()
     assert "1 left out" in world.step().effects["bending"]
+
+
+def test_tension_is_told_with_the_energy_to_the_bit_and_with_what_damping_takes():
+    """A ledger has both of one pass over the elements."""
+    world = sim.Simulation(scene(irregular(3, 200), altitudes="all", bend="angle", gamma=0.3))
+    velocities = np.random.default_rng(0).standard_normal(world.positions.shape)
+    world.forces()
+    for springs in world.model.springs:
+        e = springs.elements
+        stored, taken = set_tension(e, velocities)
+        assert stored == elastic_energy(e)
+        rate = np.einsum("eki,eki->e", e.gradient, velocities[e.nodes]) - e.drift
+        assert stored == pytest.approx(0.5 * float(e.stiffness @ (e.q - e.rest) ** 2), rel=ROUNDING)
+        assert taken == pytest.approx(float(e.damping @ rate**2), rel=ROUNDING)
+        assert taken > 0.0

@@ -9,7 +9,8 @@ no farther than they can without meeting anything.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from time import perf_counter
@@ -63,6 +64,8 @@ MOST_DEEPER = 7
 MOST_OVERRUNS = 4
 """Parts of a step in which one did after all: it is a pinch, and no other part is halved so often for it."""
 
+NOBODY = np.zeros(0, dtype=bool)
+
 NO_JOINS = np.zeros((0, 2), dtype=np.int64)
 
 Solve = Callable[[GapSprings, Settings, np.ndarray, np.ndarray, np.ndarray | None], Solution]
@@ -111,6 +114,7 @@ class Pipeline:
         self._pairs: Pairs | None = None
         self.booked, self.parts = False, []
         self.joins, self._joins, self._resting = NO_JOINS, [NO_JOINS], []
+        self._asked = NOBODY  # which obstacles the last look at them was about
         self.forget()
 
     def forget(self) -> None:
@@ -224,10 +228,13 @@ class Pipeline:
     def _near(self, way: _Way, end: np.ndarray) -> Shapes | None:
         """The obstacles but meshes that may act on the way to `end`, if any; meshes are among the pairs."""
         felt, shapes = self.obstacles.felt(way.settings), self.obstacles.shapes
+        self._asked = NOBODY
         if not felt.which.any():
             return None
         about = way.before, way.after, way.start, box(end), way.settings.thickness
-        near = felt.which & (shapes.kind != MESH) & (felt.forced | within_reach(shapes, *about))
+        there = felt.which & (shapes.kind != MESH)
+        near = there & (felt.forced | within_reach(shapes, *about))
+        self._asked = near if near.any() else there
         way.report.near_obstacles.update(self.obstacles.labels[o] for o in np.flatnonzero(near))
         return shapes.only(near) if near.any() else None
 
@@ -393,21 +400,37 @@ class Pipeline:
         if not self.obstacles.felt(s).which.any():
             self._faces.begin(*about, None)
             return self._acting(near, way)
-        with report.spent("obstacles"):
+        with self._spent_on_obstacles(report):
             near = near.and_also(self._faces.begin(*about, self._near(way, way.x)))
         return self._acting(near, way)
 
-    @staticmethod
-    def _share(report: StepReport, pairs: Pairs, ms: float) -> None:
+    @contextmanager
+    def _spent_on_obstacles(self, report: StepReport) -> Iterator[None]:
+        """Book the time of the block for obstacles but meshes, and share it out among them.
+
+        Evenly, as each one is asked about all vertices: among those that `_near` found last, or else among
+        all that it was looked for.
+        """
+        begin = perf_counter()
+        yield
+        ms, which = 1e3 * (perf_counter() - begin), np.flatnonzero(self._asked)
+        names = [OBSTACLE + self.obstacles.labels[o] for o in which]
+        for name, part in ("obstacles", ms), *((name, ms / len(names)) for name in names):
+            report.costs[name] = report.costs.get(name, 0.0) + part
+
+    def _share(self, report: StepReport, pairs: Pairs, ms: float) -> None:
         """Book the time that was spent on pairs by whom they are with, and by their kind."""
+        count, labels = len(COLLISIONS), self.obstacles.labels
         faces, edges = pairs.counts[:, 0], int(pairs.counts[:, EDGE_EDGE].sum())
-        names = *COLLISIONS, "obstacles"
-        parts = [*faces[: len(COLLISIONS)].tolist(), int(faces[len(COLLISIONS) :].sum())]
-        if not sum(parts) + edges:  # who is looked for, where nobody is found
-            parts = [pairs.feels.within, pairs.feels.between, len(pairs.solid.vertices) > 0]
-        for name, part in ("edge_edge", edges), *zip(names, parts, strict=True):
+        if not faces.sum() + edges:  # who is looked for, where nobody is found
+            felt = np.isin(np.arange(len(faces) - count), pairs.solid.part)
+            faces = np.concatenate([[pairs.feels.within, pairs.feels.between], felt]).astype(int)
+            edges = int(pairs.feels.edges)
+        each = zip((*COLLISIONS, *(OBSTACLE + label for label in labels)), faces.tolist(), strict=False)
+        for name, part in (*each, ("obstacles", int(faces[count:].sum())), ("edge_edge", edges)):
             if part:
-                report.costs[name] = report.costs.get(name, 0.0) + ms * part / (sum(parts) + edges)
+                spent = ms * part / (faces.sum() + edges)
+                report.costs[name] = report.costs.get(name, 0.0) + spent
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray, part: float = 1.0) -> Contacts:
         """Pairs, and faces and obstacles, that meet on the way to `end`, to a `part` of the usual gap."""
@@ -428,7 +451,7 @@ class Pipeline:
         s = way.settings
         if response is None or not self.obstacles.felt(s).which.any():
             return NO_CONTACTS
-        with way.report.spent("obstacles"):
+        with self._spent_on_obstacles(way.report):
             shapes = self._near(way, end)
             if shapes is None:
                 return NO_CONTACTS

@@ -67,6 +67,8 @@ class FakeWorld:
             contacts=0,
             penetrations=0,
             effects={"gravity": "ran"},
+            costs={"gravity": 0.0},
+            costs_below={},
         )
 
     def crossings(self):

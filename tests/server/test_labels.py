@@ -35,8 +35,9 @@ def mistaken(monkeypatch):
     return msgspec.structs.replace(Settings(), bend="stub")
 
 
-def report(effects):
-    return SimpleNamespace(iterations=1, contacts=0, penetrations=0, effects=effects)
+def report(effects, costs=None, **more):
+    usual = {"iterations": 1, "contacts": 0, "penetrations": 0, "costs_below": {}, "ms": {"total": 10.0}}
+    return SimpleNamespace(effects=effects, costs=costs or {}, **usual | more)
 
 
 def test_mistake_is_labelled_as_wrong_on_purpose_and_is_no_alarm(mistaken):
@@ -66,8 +67,8 @@ def test_unstable_step_is_a_line_of_the_label_and_bold_in_the_table():
     shaky = meter(report=report({"gravity": "ran", "integrator": "unstable: dt is 10 ms"}))
     assert label("one", shaky)[0].split("\n")[-1] == "▲ unstable step"
     table = effects_table(["one"], [shaky])
-    row = '"><td>integrator</td><td></td><td>unstable: dt is 10 ms</td></tr>'
-    assert f'<tr class="bad" title="{TOLD_BESIDES["integrator"]}{row}' in table
+    assert f'<tr class="bad" title="{TOLD_BESIDES["integrator"]}"><td>integrator</td>' in table
+    assert "<td>unstable: dt is 10 ms</td></tr>" in table
     assert table.count('class="bad"') == 1
 
 
@@ -101,14 +102,29 @@ def test_what_is_inside_and_what_crosses_has_a_line_each_and_is_bold_in_the_tabl
 
 
 def test_each_effect_has_its_part_of_the_step():
-    step = SimpleNamespace(
-        effects={"self_collision": "ran"}, costs={"self_collision": 2.5}, ms={"total": 10.0}
+    said = {"self_collision": "ran", "gravity": "ran", "damping": "ran", "wind": "off: drag is zero"}
+    said |= {"friction": "ran", "integrator": "midpoint"}
+    step = report(said, {"self_collision": 2.5, "gravity": 0.002}, costs_below={"damping": 0.31})
+    step.ms |= {"solve": 4.0}
+    cells = re.findall(
+        r'title="([^"]*)">(?:<div style="border-left:([.0-9]+)px[^>]*></div> )?([^/]*?)<', table_of(step)
     )
-    table = effects_table(["one"], [meter(report=SimpleNamespace(**vars(step), penetrations=0))])
-    assert "<td>self collision</td>" in table
-    assert "border-left:25.0px" in table
-    assert "25 % of the step" in table
-    assert "2.50 ms" in table
+    shares = {
+        share: (hint, wide) for hint, wide, share in cells if "of the step" in hint or "contact" in hint
+    }
+    assert shares["25 %"] == ("25 % of the step: without what it adds to the work of the solver", "25.0")
+    assert shares["< 0.1 %"][1] == "0.0"
+    assert shares["< 3.1 %"] == (
+        "< 3.1 % of the step: it is computed along with the forces of springs",
+        "0.0",
+    )
+    assert shares["0"][0] == "0 of the step: nothing of it is computed"
+    assert shares["in contact"][0].endswith("in the figure of contact, which has it of one piece")
+    assert shares["40 %"][1] == "40.0"
+
+
+def table_of(step):
+    return effects_table(["one"], [meter(report=step)])
 
 
 def test_effect_that_only_speaks_of_unstable_steps_is_none():
