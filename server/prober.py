@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 SHARE = 0.02
-"""Of the time of steps that probes may take: with ledger and crossings some 5 %, mostly."""
+"""Of the time of steps that probes may take; ledger, crossings and figures take some 4 to 6 % besides."""
 
 DEBT = 0.25
-"""Processor time [s] that may be owed for what changes had measured, which 8 s of steps make up for.
+"""Processor time [s] that may be owed for what changes had measured, which 12 s of steps make up for.
 
 More is forgiven, or a while of changes would leave no regular reading for much longer than it took."""
 

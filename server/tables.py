@@ -242,12 +242,13 @@ def effect_row(name: str, word: str, report: Any) -> str:
     """What a step says about one effect, and its part of the step's time; an unstable one is bad."""
     look = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else ""
     took, total = cost(name, word, report), report.ms.get("total", 0.0)
-    part = share_text(took, total)
+    share = share_text(took, total)
+    part = escape(share)
     if took.ms and total > 0.0:
         wide = min(100.0 * took.ms / total, 100.0) * (not took.most)
         looks = f"border-left:{wide:.1f}px solid currentColor;height:.5em;display:inline-block"
-        part = f'<div style="{looks}"></div> {part}<br>{took.ms:.2g} ms'
-    hint = f"{share_text(took, total)} of the step: {took.why}"
+        part = f'<div style="{looks}"></div> {part}<br>{"&lt; " * took.most}{took.ms:.2g} ms'
+    hint = took.why if took.ms is None else f"{share} of the step: {took.why}"
     title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
     return (
         f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td>'

@@ -160,9 +160,9 @@ class Tally:
         assert felt is not None
         rates = self._rates(stage.positions, stage.velocities, felt, anew=False)
         rates[n : 2 * n] = felt.impulse / h - rates[:n] - felt.normal - felt.friction
-        end = np.concatenate([stage.velocities, v_hat[n:]])
-        end[n:] += h * rates
-        return self._below(stage.positions), end
+        rates *= h
+        rates += v_hat[n:]
+        return self._below(stage.positions), np.concatenate([stage.velocities, rates])
 
     def rates(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Accelerations (n, 3) [m/s²] of an explicit stage, and the rows' rates below them."""

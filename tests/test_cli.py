@@ -260,3 +260,19 @@ def test_a_run_that_ends_early_keeps_what_was_recorded(
     assert "kinetic energy" in said.out
     with np.load(out) as file:
         assert len(file["times"]) == len(file["positions"]) == 5
+
+
+def test_a_run_tells_the_share_of_every_effect(tmp_path, capsys):
+    file = tmp_path / "numbers.json"
+    assert main(["run", "oscillator", "--seconds", "0.1", "--json", str(file)]) == 0
+    written = json.loads(file.read_text())
+    assert written["shares"].keys() == written["effects"].keys()
+    assert all(share["why"] and share["text"] for share in written["shares"].values())
+    assert written["shares"]["stretch"]["ms"] > 0.0
+    assert written["shares"]["wind"] == {
+        "ms": 0.0,
+        "at_most": False,
+        "text": "0",
+        "why": "nothing of it is computed",
+    }
+    assert "stretch [part of the step, median]" in capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from html import unescape
 from types import SimpleNamespace
 
 import msgspec
@@ -106,21 +107,22 @@ def test_each_effect_has_its_part_of_the_step():
     said |= {"friction": "ran", "integrator": "midpoint"}
     step = report(said, {"self_collision": 2.5, "gravity": 0.002}, costs_below={"damping": 0.31})
     step.ms |= {"solve": 4.0}
-    cells = re.findall(
-        r'title="([^"]*)">(?:<div style="border-left:([.0-9]+)px[^>]*></div> )?([^/]*?)<', table_of(step)
+    rows = re.findall(r"<td>([^<]*)</td><td title=\"([^\"]*)\">(.*?)</td>", table_of(step))
+    found = {name: (unescape(hint), unescape(cell)) for name, hint, cell in rows}
+    assert all(
+        "<" not in cell.replace("<div", "").replace("</div", "").replace("<br", "") for *_, cell in rows
     )
-    shares = {
-        share: (hint, wide) for hint, wide, share in cells if "of the step" in hint or "contact" in hint
-    }
-    assert shares["25 %"] == ("25 % of the step: without what it adds to the work of the solver", "25.0")
-    assert shares["< 0.1 %"][1] == "0.0"
-    assert shares["< 3.1 %"] == (
-        "< 3.1 % of the step: it is computed along with the forces of springs",
-        "0.0",
-    )
-    assert shares["0"][0] == "0 of the step: nothing of it is computed"
-    assert shares["in contact"][0].endswith("in the figure of contact, which has it of one piece")
-    assert shares["40 %"][1] == "40.0"
+    plain = "without what it adds to the work of the solver"
+    assert found["self collision"][0] == f"25 % of the step: {plain}"
+    assert "border-left:25.0px" in found["self collision"][1]
+    assert found["self collision"][1].endswith("25 %<br>2.5 ms")
+    assert found["gravity"][1].endswith("< 0.1 %<br>0.002 ms")
+    assert found["damping"][0] == "< 3.1 % of the step: it is computed along with the forces of springs"
+    assert found["damping"][1].endswith("< 3.1 %<br>< 0.31 ms")
+    assert "border-left:0.0px" in found["damping"][1]
+    assert found["wind"] == ("0 of the step: nothing of it is computed", "0")
+    assert found["friction"] == ("in the figure of contact, which has it of one piece", "in contact")
+    assert "border-left:40.0px" in found["integrator"][1]
 
 
 def table_of(step):
