@@ -181,9 +181,8 @@ class Simulation:
     def momentum(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear momentum (3,) [kg m/s] and angular momentum about the origin (3,) [kg m²/s]."""
         linear = self.model.masses[:, None] * self._velocities
-        about = np.einsum(
-            "ni,nj->ij", self._positions, linear
-        )  # a quarter of what each one's cross product takes
+        # a quarter of what each one's cross product takes
+        about = np.einsum("ni,nj->ij", self._positions, linear)
         return linear.sum(axis=0), (about - about.T)[[1, 2, 0], [2, 0, 1]]
 
     def forces(self) -> np.ndarray:

@@ -64,7 +64,7 @@ MOST_DEEPER = 7
 MOST_OVERRUNS = 4
 """Parts of a step in which one did after all: it is a pinch, and no other part is halved so often for it."""
 
-NOBODY = np.zeros(0, dtype=bool)
+NOT_ASKED = np.zeros(0, dtype=bool)
 
 NO_JOINS = np.zeros((0, 2), dtype=np.int64)
 
@@ -114,7 +114,7 @@ class Pipeline:
         self._pairs: Pairs | None = None
         self.booked, self.parts = False, []
         self.joins, self._joins, self._resting = NO_JOINS, [NO_JOINS], []
-        self._asked = NOBODY  # which obstacles the last look at them was about
+        self._asked = NOT_ASKED  # which obstacles the last look at them was about
         self.forget()
 
     def forget(self) -> None:
@@ -228,7 +228,7 @@ class Pipeline:
     def _near(self, way: _Way, end: np.ndarray) -> Shapes | None:
         """The obstacles but meshes that may act on the way to `end`, if any; meshes are among the pairs."""
         felt, shapes = self.obstacles.felt(way.settings), self.obstacles.shapes
-        self._asked = NOBODY
+        self._asked = NOT_ASKED
         if not felt.which.any():
             return None
         about = way.before, way.after, way.start, box(end), way.settings.thickness
