@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.compiled import Vec3, add, dot, inner, kernel, norm, row, scale, sub
 
-CREEP = 1e-4
+CREEP = 5e-5
 """Smallest slip [m/s] that a drag is estimated with."""
 
 SLOW = 5e-3

@@ -271,7 +271,7 @@ def prepare(coarse, coarsest):
         _fill(coarse, coarse.targets[k], coarse.targets[k + 1], coarse.diagonal, coarse.block)
     for i in range(coarse.level[-2]):
         invert(coarse.diagonal[i], coarse.inverse[i])
-    for k in range(len(coarsest.width)):
+    for k in range(len(coarsest.first) - 1):
         factor(coarsest, k, coarse.diagonal, coarse.block)
 
 
@@ -285,7 +285,7 @@ def cycle(coarse, coarsest):
         c.b[end : c.level[k + 2]] = 0.0
         _relax_down(begin, end, c.first, c.middle, c.column, c.block, c.inverse, c.b, c.x)
         _restrict(begin, end, c.first, c.middle, c.column, c.block, c.of_up, c.up, c.up_weight, c.x, c.b)
-    for k in range(len(coarsest.width)):
+    for k in range(len(coarsest.first) - 1):
         solve_patch(coarsest, k, c.b)
         for m in range(coarsest.first[k], coarsest.first[k + 1]):
             i = coarsest.vertex[m]

@@ -1,13 +1,15 @@
-"""The preconditioner: what is fast locally, exact solves where cloth is free to flap, and coarse levels.
+"""The preconditioner: exact solves on overlapping strips of cloth, and coarse levels for the rest.
 
-    P⁻¹ = D⁻¹ + Σ patches A_k⁻¹ + H V Hᵀ
+    P⁻¹ = Σ strips A_k⁻¹ + H V Hᵀ
 
-D⁻¹ inverts the 3 × 3 blocks of single vertices. It is slow to find two things, which the others know.
-Motions that are smooth over several edges: H interpolates them linearly from the nodes of a lattice over the
-rest shape (`sim.solve.lattice`), and V is one symmetric multigrid cycle (Gauss–Seidel down and up, exact on
-the coarsest level) for the Galerkin matrix Hᵀ A H and coarser ones. And motions that bend cloth almost
-without stretching it: the free hem can flap in short waves, so the vertices within a few rings of it are
-solved for together (`sim.solve.patches`), as are those joined by edges much shorter than the mesh's.
+That is an additive Schwarz method with a coarse space (Dryja and Widlund 1987; Toselli and Widlund 2005). It
+has to find two things fast. Motions that are smooth over many edges: H interpolates them linearly from the
+nodes of a lattice over the rest shape (`sim.solve.lattice`), and V is one symmetric multigrid cycle
+(Gauss–Seidel down and up, exact on the coarsest level) for the Galerkin matrix Hᵀ A H and coarser ones. And
+motions that bend cloth almost without stretching it, as the hem flaps and as folds roll: linear interpolation
+stretches it, so it does not find them, but exact solves on strips a few vertices wide do
+(`sim.solve.patches`). The strips follow the hem, ring by ring of vertices, so that they can be long and their
+factors narrow.
 
 All of that is symmetric and positive definite, so it suits conjugate gradients. What depends on the mesh
 alone is built once; `refresh` computes the rest anew for each matrix, in a fixed order.
@@ -22,34 +24,29 @@ import numpy as np
 
 from sim.compiled import CHUNKS, even_shares, indices, inner, kernel, offsets, parallel_kernel, share
 from sim.mesh import Mesh
-from sim.solve.graph import Graph, connected, grown, starts, symmetric
+from sim.solve.graph import Graph, connected, grown, neighbours, starts, symmetric
 from sim.solve.multigrid import Coarse, build_levels, cycle, galerkin, prepare
-from sim.solve.patches import Patches, band_width, build_patches, factor, solve_patch
-from sim.solve.system import Matrix, invert, pattern
+from sim.solve.patches import Patches, build_patches, factor, solve_patch, work_to_factor, work_to_solve
+from sim.solve.system import Matrix, pattern
 
-RINGS = 4
-"""Rings of vertices from a free edge inwards that make up the hem."""
+SHAPES = ((8, 512, 0), (2, 512, 1), (2, 64, 1))
+"""Rings of vertices that make up a strip, vertices after which it is cut, and rings by which strips overlap:
+tried in turn. Even meshes do without overlap, which uneven ones need."""
 
-SHORT = 0.5
-"""Edges shorter than this part of the mean join vertices that are solved for together."""
+WORK = 7_000.0
+"""Multiplications per vertex that factoring them may cost; the last shape is taken whatever it costs."""
 
-LARGEST = 512
-"""Vertices of a patch before it is cut: it is cut into parts that can be solved side by side."""
+ENDS = 4
+"""Rings by which the parts of a strip that is cut overlap, so that the cuts do not show."""
 
-OVERLAP = 6
-"""Rings by which parts of a patch overlap, so that the cuts do not show."""
-
-WORK = 2000.0
-"""Multiplications per vertex of the mesh that factoring a patch may cost; a costlier one is cut smaller."""
-
-SMALLEST = 64
-"""Vertices of a part that is not cut smaller, whatever it costs."""
+SHORTEST = 256
+"""Vertices up to which no strip is cut for there being more lanes than strips."""
 
 LANES = 8
-"""Parts that patches and coarse levels are shared out to."""
+"""Parts that strips and coarse levels are shared out to."""
 
 COUPLING = 25.0
-"""What a block of the coarse levels takes in a cycle, over what an entry of a patch's factor takes."""
+"""What a block of the coarse levels takes in a cycle, over what an entry of a strip's factor takes."""
 
 
 class Local(NamedTuple):
@@ -57,10 +54,8 @@ class Local(NamedTuple):
 
     Attributes:
         free: (n,) bool.
-        single: (n,) bool, which vertices are free and in no patch.
-        inverse: (n, 3, 3) inverses of the diagonal blocks of A at single vertices.
-        of_place: (n + 1,) where each vertex's places in patches start in `place`.
-        place: Rows of the patches' room.
+        of_place: (n + 1,) where each vertex's places in strips start in `place`.
+        place: Rows of the strips' room.
         of_vertex: (n + 1,) where each vertex's nodes of the first coarse level start in `node`.
         node: The nodes that a vertex depends on.
         node_weight: Their weights.
@@ -71,8 +66,6 @@ class Local(NamedTuple):
     """
 
     free: np.ndarray
-    single: np.ndarray
-    inverse: np.ndarray
     of_place: np.ndarray
     place: np.ndarray
     of_vertex: np.ndarray
@@ -89,7 +82,7 @@ class Lanes(NamedTuple):
 
     Attributes:
         first: (LANES + 1,) where each lane's tasks start in `task`.
-        task: Patches by number; −1 stands for the coarse levels.
+        task: Strips by number; −1 stands for the coarse levels.
     """
 
     first: np.ndarray
@@ -100,32 +93,25 @@ class Preconditioner(NamedTuple):
     """P⁻¹; `coarsest` holds the patches of the last level's matrix."""
 
     local: Local
-    patches: Patches
+    strips: Patches
     coarse: Coarse
     coarsest: Patches
     lanes: Lanes
 
 
 def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Preconditioner:
-    """Patches and coarse levels of `mesh`, and where they meet the blocks of `matrix`."""
-    n = len(free)
-    lengths = np.linalg.norm(np.diff(mesh.rest_vertices[mesh.edges], axis=1)[:, 0], axis=1)
-    mean, graph = _mean_lengths(mesh, lengths), pattern(matrix)
-    short = lengths < SHORT * mean[mesh.pieces[mesh.edges[:, 0]]]
-    patches = build_patches(graph, _patch_sets(mesh, free, graph, short))
-    weights, coarse, coarsest = build_levels(mesh, free, graph, mean)
+    """Strips and coarse levels of `mesh`, and where they meet the blocks of `matrix`."""
+    n, graph = len(free), pattern(matrix)
+    strips = build_patches(graph, _strips(mesh, free, graph))
+    weights, coarse, coarsest = build_levels(mesh, free, graph, _mean_lengths(mesh))
     m = int(coarse.level[1])
-    single = free.copy()
-    single[patches.vertex] = False
     point = np.repeat(np.arange(n), np.diff(weights.first))
     order = np.lexsort((point, weights.node))
     of_node = starts(weights.node[order], m)
     local = Local(
         free=free,
-        single=single,
-        inverse=np.zeros((n, 3, 3)),
-        of_place=offsets(starts(np.sort(patches.vertex), n)),
-        place=indices(np.argsort(patches.vertex, kind="stable")),
+        of_place=offsets(starts(np.sort(strips.vertex), n)),
+        place=indices(np.argsort(strips.vertex, kind="stable")),
         of_vertex=offsets(weights.first),
         node=indices(weights.node),
         node_weight=weights.weight,
@@ -134,63 +120,78 @@ def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Precon
         vertex_weight=weights.weight[order],
         shares=even_shares(of_node),
     )
-    return Preconditioner(local, patches, coarse, coarsest, _lanes(patches, coarse, coarsest))
+    return Preconditioner(local, strips, coarse, coarsest, _lanes(strips, coarse, coarsest))
 
 
-def _mean_lengths(mesh: Mesh, lengths: np.ndarray) -> np.ndarray:
+def _mean_lengths(mesh: Mesh) -> np.ndarray:
     """(pieces,) mean edge length [m], zero for a piece without edges."""
+    lengths = np.linalg.norm(np.diff(mesh.rest_vertices[mesh.edges], axis=1)[:, 0], axis=1)
     piece, count = mesh.pieces[mesh.edges[:, 0]], len(mesh.density)
     return np.bincount(piece, lengths, count) / np.maximum(np.bincount(piece, minlength=count), 1)
 
 
-def _patch_sets(mesh: Mesh, free: np.ndarray, whole: Graph, short: np.ndarray) -> list[np.ndarray]:
-    """The vertices of each patch: the hem, and what `short` edges join, cut where it would cost too much."""
+def _strips(mesh: Mesh, free: np.ndarray, graph: Graph) -> list[np.ndarray]:
+    """The vertices of each strip, in the order in which it is to be solved."""
     n = len(free)
-    hem = _hem(mesh)
-    joined = (hem[mesh.edges].all(axis=1) | short) & free[mesh.edges].all(axis=1)
-    a, b = mesh.edges[joined].T
-    graph, _, _ = symmetric(a, b, n)
-    sets = []
-    inside = np.diff(graph.first) > 0
-    for component in connected(graph, inside, n):
-        member = np.zeros(n, dtype=bool)
-        member[component] = True
-        most = LARGEST
-        while True:
-            parts = connected(graph, member, most)
-            parts = [grown(graph, part, member, OVERLAP if len(parts) > 1 else 0) for part in parts]
-            if most <= SMALLEST or _work(whole, parts) <= WORK * n:
-                break
-            most //= 2
-        sets += parts
-    return sets
+    near, _, _ = symmetric(mesh.edges[:, 0], mesh.edges[:, 1], n)
+    depth, strips, shared = _depths(mesh, near), list[np.ndarray](), max(n // (2 * LANES), SHORTEST)
+    for rings, most, overlap in SHAPES:
+        strips = []
+        for strip in range(int(depth.max(initial=0)) // rings + 1):
+            inside = free & (depth // rings == strip)
+            for whole in connected(near, inside, n):
+                strips += _cut(whole, min(most, shared), overlap, near, free, graph)
+        if sum(work_to_factor(graph, strip) for strip in strips) <= WORK * n:
+            break
+    return strips
 
 
-def _work(graph: Graph, sets: list[np.ndarray]) -> float:
-    """Multiplications that factoring takes."""
-    return sum(1.5 * len(members) * band_width(graph, members) ** 2 for members in sets)
+def _cut(
+    whole: np.ndarray, most: int, overlap: int, near: Graph, free: np.ndarray, graph: Graph
+) -> list[np.ndarray]:
+    """Parts of the strip `whole`, of at most `most` vertices before they overlap."""
+    n = len(free)
+    inside = _mask(whole, n)
+    parts = connected(near, inside, most)
+    if len(parts) > 1:
+        parts = [grown(near, part, inside, ENDS) for part in parts]
+    parts = [grown(near, part, free, overlap) for part in parts]
+    return [grown(graph, part, _mask(part, n), 0) for part in parts]  # in narrow order
 
 
-def _hem(mesh: Mesh) -> np.ndarray:
-    """(n,) bool: vertices within RINGS rings of an edge that has a triangle on one side only, or none."""
+def _mask(members: np.ndarray, n: int) -> np.ndarray:
+    """(n,) bool, true at `members`."""
+    mask = np.zeros(n, dtype=bool)
+    mask[members] = True
+    return mask
+
+
+def _depths(mesh: Mesh, near: Graph) -> np.ndarray:
+    """(n,) rings between each vertex and the hem, or where there is none, some vertex of its part.
+
+    The hem are the edges that have a triangle on one side only, or none.
+    """
     sides = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, inverse, count = np.unique(
         np.concatenate([sides, np.sort(mesh.edges, axis=1)]), axis=0, return_inverse=True, return_counts=True
     )
-    bare = count[inverse.ravel()[len(sides) :]] < 3
-    hem = np.zeros(len(mesh.vertices), dtype=bool)
-    hem[mesh.edges[bare]] = True
-    for _ in range(RINGS - 1):
-        near = hem[mesh.edges].any(axis=1)
-        hem[mesh.edges[near]] = True
-    return hem
+    depth = np.full(len(mesh.vertices), -1)
+    depth[mesh.edges[count[inverse.ravel()[len(sides) :]] < 3]] = 0
+    parts, first = np.unique(mesh.parts, return_index=True)
+    depth[first[~np.isin(parts, mesh.parts[depth == 0])]] = 0
+    ring, front = 0, np.flatnonzero(depth == 0)
+    while len(front):
+        ring += 1
+        reached = np.unique(np.concatenate([neighbours(near, int(i)) for i in front]))
+        front = reached[depth[reached] < 0]
+        depth[front] = ring
+    return depth
 
 
-def _lanes(patches: Patches, coarse: Coarse, coarsest: Patches) -> Lanes:
+def _lanes(strips: Patches, coarse: Coarse, coarsest: Patches) -> Lanes:
     """Tasks shared out to lanes, so that each half of the lanes, and each half of that, has as much to do."""
-    solve = 3.0 * np.diff(patches.first) * patches.width
-    cycle = 3.0 * float(np.diff(coarsest.first) @ coarsest.width) + COUPLING * len(coarse.column)
-    lanes = _halved({-1: cycle, **dict(enumerate(solve))}, LANES)
+    cycle = float(work_to_solve(coarsest).sum()) + COUPLING * len(coarse.column)
+    lanes = _halved({-1: cycle, **dict(enumerate(work_to_solve(strips)))}, LANES)
     counts = [len(lane) for lane in lanes]
     return Lanes(
         np.concatenate([[0], np.cumsum(counts)]), np.array([task for lane in lanes for task in lane])
@@ -211,26 +212,17 @@ def _halved(work: dict[int, float], lanes: int) -> list[list[int]]:
 def refresh(preconditioner, matrix):
     """Compute P⁻¹ anew for `matrix`."""
     h = preconditioner
-    invert_singles(h.local, matrix)
     galerkin(h.coarse, matrix)
-    factor_lanes(h.lanes, h.patches, h.coarse, h.coarsest, matrix)
+    factor_lanes(h.lanes, h.strips, h.coarse, h.coarsest, matrix)
 
 
 @parallel_kernel
-def invert_singles(local, matrix):
-    """Invert the diagonal blocks of A of single vertices."""
-    for i in numba.prange(len(local.single)):
-        if local.single[i]:
-            invert(matrix.diagonal[i], local.inverse[i])
-
-
-@parallel_kernel
-def factor_lanes(lanes, patches, coarse, coarsest, matrix):
-    """Factor the patches, and prepare the coarse levels."""
+def factor_lanes(lanes, strips, coarse, coarsest, matrix):
+    """Factor the strips, and prepare the coarse levels."""
     for lane in numba.prange(LANES):
         for t in range(lanes.first[lane], lanes.first[lane + 1]):
             if lanes.task[t] >= 0:
-                factor(patches, lanes.task[t], matrix.diagonal, matrix.block)
+                factor(strips, lanes.task[t], matrix.diagonal, matrix.block)
             else:
                 prepare(coarse, coarsest)
 
@@ -240,8 +232,8 @@ def precondition(preconditioner, r, z, partial, largest):
     """Fill z = P⁻¹ r and return rᵀ z and the largest |z_i|²; r must be zero on fixed vertices."""
     h = preconditioner
     _to_nodes(h.local, r, h.coarse.b)
-    _solve_lanes(h.lanes, h.patches, h.coarse, h.coarsest, r)
-    return _to_vertices(h.local, h.patches.room, h.coarse.x, r, z, partial, largest)
+    _solve_lanes(h.lanes, h.strips, h.coarse, h.coarsest, r)
+    return _to_vertices(h.local, h.strips.room, h.coarse.x, r, z, partial, largest)
 
 
 @parallel_kernel
@@ -259,44 +251,37 @@ def _to_nodes(local, r, b):
 
 
 @parallel_kernel
-def _solve_lanes(lanes, patches, coarse, coarsest, r):
-    """Solve on the patches, and on the coarse levels."""
+def _solve_lanes(lanes, strips, coarse, coarsest, r):
+    """Solve on the strips, and on the coarse levels."""
     for lane in numba.prange(LANES):
         for t in range(lanes.first[lane], lanes.first[lane + 1]):
             if lanes.task[t] >= 0:
-                solve_patch(patches, lanes.task[t], r)
+                solve_patch(strips, lanes.task[t], r)
             else:
                 cycle(coarse, coarsest)
 
 
 @parallel_kernel
 def _to_vertices(local, room, x, r, z, partial, largest):
-    """Fill z with what single vertices, patches and nodes give; returns rᵀ z and the largest |z_i|²."""
+    """Fill z with what strips and nodes give; returns rᵀ z and the largest |z_i|²."""
     n = len(r)
     for chunk in numba.prange(CHUNKS):
         total = most = 0.0
         begin, end = share(chunk, n)
         for i in range(begin, end):
-            u, v, w = r[i, 0], r[i, 1], r[i, 2]
-            if local.single[i]:
-                d = local.inverse[i]
-                a = d[0, 0] * u + d[0, 1] * v + d[0, 2] * w
-                b = d[1, 0] * u + d[1, 1] * v + d[1, 2] * w
-                c = d[2, 0] * u + d[2, 1] * v + d[2, 2] * w
-            else:
-                a = b = c = 0.0
-                for k in range(local.of_place[i], local.of_place[i + 1]):
-                    m = local.place[k]
-                    a += room[m, 0]
-                    b += room[m, 1]
-                    c += room[m, 2]
+            a = b = c = 0.0
+            for k in range(local.of_place[i], local.of_place[i + 1]):
+                m = local.place[k]
+                a += room[m, 0]
+                b += room[m, 1]
+                c += room[m, 2]
             for k in range(local.of_vertex[i], local.of_vertex[i + 1]):
                 m, s = local.node[k], local.node_weight[k]
                 a += s * x[m, 0]
                 b += s * x[m, 1]
                 c += s * x[m, 2]
             z[i, 0], z[i, 1], z[i, 2] = a, b, c
-            total += a * u + b * v + c * w
+            total += a * r[i, 0] + b * r[i, 1] + c * r[i, 2]
             most = max(most, a * a + b * b + c * c)
         partial[chunk], largest[chunk] = total, most
     most = 0.0

@@ -43,7 +43,7 @@ def test_constant_mass_helps_without_a_preconditioner_only(result):
 def test_for_the_weight_of_a_hanging_sheet_the_masses_hardly_matter(result):
     for name in lumping.PRECONDITIONERS:
         counts = [cell(result.tables[0], name, 2.0, "weight", mass) for mass in ("constant", "area")]
-        assert counts[1] == pytest.approx(counts[0], rel=0.15)
+        assert abs(counts[1] - counts[0]) <= max(0.15 * counts[0], 1)  # of few, one more means nothing
 
 
 @pytest.mark.parametrize("name", lumping.PRECONDITIONERS)
