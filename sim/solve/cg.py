@@ -28,7 +28,7 @@ WINDOW = 3
 SLOWEST = 0.95
 """Largest factor by which windows are taken to shrink: slower than that, their ratio is noise."""
 
-SAFETY = 3.0
+SAFETY = 1.5
 """What the estimate is multiplied by, as windows do not shrink evenly."""
 
 LEVERAGE, CERTAINTY = 5.0, 100.0

@@ -1,15 +1,16 @@
-"""The preconditioner: exact solves on overlapping strips of cloth, and coarse levels for the rest.
+"""The preconditioner: what is fast locally, exact solves where cloth is free to flap, and coarse levels.
 
-    P⁻¹ = Σ strips A_k⁻¹ + H V Hᵀ
+    P⁻¹ = D⁻¹ + Σ patches A_k⁻¹ + H V Hᵀ
 
-That is an additive Schwarz method with a coarse space (Dryja and Widlund 1987; Toselli and Widlund 2005). It
-has to find two things fast. Motions that are smooth over many edges: H interpolates them linearly from the
-nodes of a lattice over the rest shape (`sim.solve.lattice`), and V is one symmetric multigrid cycle
-(Gauss–Seidel down and up, exact on the coarsest level) for the Galerkin matrix Hᵀ A H and coarser ones. And
-motions that bend cloth almost without stretching it, as the hem flaps and as folds roll: linear interpolation
-stretches it, so it does not find them, but exact solves on strips a few vertices wide do
-(`sim.solve.patches`). The strips follow the hem, ring by ring of vertices, so that they can be long and their
-factors narrow.
+D⁻¹ inverts the 3 × 3 blocks of single vertices. It is slow to find two things, which the others know.
+Motions that are smooth over several edges: H interpolates them linearly from the nodes of a lattice over the
+rest shape (`sim.solve.lattice`), and V is one symmetric multigrid cycle (Gauss–Seidel down and up, exact on
+the coarsest level) for the Galerkin matrix Hᵀ A H and coarser ones. And motions that bend cloth almost
+without stretching it: the free hem can flap in short waves, so the vertices within a few rings of it are
+solved for together (`sim.solve.patches`), as are those joined by edges much shorter than the mesh's.
+Where such edges are many, D⁻¹ is of little use, and strips of all the cloth, ring by ring from the hem
+inwards, are solved exactly instead: an additive Schwarz method (Toselli and Widlund 2005). On even meshes
+that would halve the iterations, and double what each takes.
 
 All of that is symmetric and positive definite, so it suits conjugate gradients. What depends on the mesh
 alone is built once; `refresh` computes the rest anew for each matrix, in a fixed order.
@@ -27,14 +28,23 @@ from sim.mesh import Mesh
 from sim.solve.graph import Graph, connected, grown, neighbours, starts, symmetric
 from sim.solve.multigrid import Coarse, build_levels, cycle, galerkin, prepare
 from sim.solve.patches import Patches, build_patches, factor, solve_patch, work_to_factor, work_to_solve
-from sim.solve.system import Matrix, pattern
+from sim.solve.system import Matrix, invert, pattern
 
-SHAPES = ((8, 512, 0), (2, 512, 1), (2, 64, 1))
+RINGS = 4
+"""Rings of vertices from a free edge inwards that make up the hem."""
+
+SHORT = 0.5
+"""Edges shorter than this part of the mean join vertices that are solved for together."""
+
+UNEVEN = 0.01
+"""Part of the edges that may be short where only the hem is solved exactly."""
+
+STRIPS = ((8, 512, 0), (2, 512, 1), (2, 64, 1))
 """Rings of vertices that make up a strip, vertices after which it is cut, and rings by which strips overlap:
-tried in turn. Even meshes do without overlap, which uneven ones need."""
+tried in turn until WORK_OF_STRIPS is enough; the last is taken whatever it costs."""
 
-WORK = 7_000.0
-"""Multiplications per vertex that factoring them may cost; the last shape is taken whatever it costs."""
+WORK_OF_STRIPS = 7000.0
+"""Multiplications per vertex of the mesh that factoring them may cost."""
 
 ENDS = 4
 """Rings by which the parts of a strip that is cut overlap, so that the cuts do not show."""
@@ -42,11 +52,23 @@ ENDS = 4
 SHORTEST = 256
 """Vertices up to which no strip is cut for there being more lanes than strips."""
 
+LARGEST = 512
+"""Vertices of a patch before it is cut: it is cut into parts that can be solved side by side."""
+
+OVERLAP = 6
+"""Rings by which parts of a patch overlap, so that the cuts do not show."""
+
+WORK = 2000.0
+"""Multiplications per vertex of the mesh that factoring a patch may cost; a costlier one is cut smaller."""
+
+SMALLEST = 64
+"""Vertices of a part that is not cut smaller, whatever it costs."""
+
 LANES = 8
-"""Parts that strips and coarse levels are shared out to."""
+"""Parts that patches and coarse levels are shared out to."""
 
 COUPLING = 25.0
-"""What a block of the coarse levels takes in a cycle, over what an entry of a strip's factor takes."""
+"""What a block of the coarse levels takes in a cycle, over what an entry of a patch's factor takes."""
 
 
 class Local(NamedTuple):
@@ -54,8 +76,10 @@ class Local(NamedTuple):
 
     Attributes:
         free: (n,) bool.
-        of_place: (n + 1,) where each vertex's places in strips start in `place`.
-        place: Rows of the strips' room.
+        single: (n,) bool, which vertices are free and in no patch.
+        inverse: (n, 3, 3) inverses of the diagonal blocks of A at single vertices.
+        of_place: (n + 1,) where each vertex's places in patches start in `place`.
+        place: Rows of the patches' room.
         of_vertex: (n + 1,) where each vertex's nodes of the first coarse level start in `node`.
         node: The nodes that a vertex depends on.
         node_weight: Their weights.
@@ -66,6 +90,8 @@ class Local(NamedTuple):
     """
 
     free: np.ndarray
+    single: np.ndarray
+    inverse: np.ndarray
     of_place: np.ndarray
     place: np.ndarray
     of_vertex: np.ndarray
@@ -82,7 +108,7 @@ class Lanes(NamedTuple):
 
     Attributes:
         first: (LANES + 1,) where each lane's tasks start in `task`.
-        task: Strips by number; −1 stands for the coarse levels.
+        task: Patches by number; −1 stands for the coarse levels.
     """
 
     first: np.ndarray
@@ -93,25 +119,32 @@ class Preconditioner(NamedTuple):
     """P⁻¹; `coarsest` holds the patches of the last level's matrix."""
 
     local: Local
-    strips: Patches
+    patches: Patches
     coarse: Coarse
     coarsest: Patches
     lanes: Lanes
 
 
 def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Preconditioner:
-    """Strips and coarse levels of `mesh`, and where they meet the blocks of `matrix`."""
-    n, graph = len(free), pattern(matrix)
-    strips = build_patches(graph, _strips(mesh, free, graph))
-    weights, coarse, coarsest = build_levels(mesh, free, graph, _mean_lengths(mesh))
+    """Patches and coarse levels of `mesh`, and where they meet the blocks of `matrix`."""
+    n = len(free)
+    lengths = np.linalg.norm(np.diff(mesh.rest_vertices[mesh.edges], axis=1)[:, 0], axis=1)
+    mean, graph = _mean_lengths(mesh, lengths), pattern(matrix)
+    short = lengths < SHORT * mean[mesh.pieces[mesh.edges[:, 0]]]
+    patches = build_patches(graph, _patch_sets(mesh, free, graph, short))
+    weights, coarse, coarsest = build_levels(mesh, free, graph, mean)
     m = int(coarse.level[1])
+    single = free.copy()
+    single[patches.vertex] = False
     point = np.repeat(np.arange(n), np.diff(weights.first))
     order = np.lexsort((point, weights.node))
     of_node = starts(weights.node[order], m)
     local = Local(
         free=free,
-        of_place=offsets(starts(np.sort(strips.vertex), n)),
-        place=indices(np.argsort(strips.vertex, kind="stable")),
+        single=single,
+        inverse=np.zeros((n, 3, 3)),
+        of_place=offsets(starts(np.sort(patches.vertex), n)),
+        place=indices(np.argsort(patches.vertex, kind="stable")),
         of_vertex=offsets(weights.first),
         node=indices(weights.node),
         node_weight=weights.weight,
@@ -120,43 +153,68 @@ def build_preconditioner(mesh: Mesh, free: np.ndarray, matrix: Matrix) -> Precon
         vertex_weight=weights.weight[order],
         shares=even_shares(of_node),
     )
-    return Preconditioner(local, strips, coarse, coarsest, _lanes(strips, coarse, coarsest))
+    return Preconditioner(local, patches, coarse, coarsest, _lanes(patches, coarse, coarsest))
 
 
-def _mean_lengths(mesh: Mesh) -> np.ndarray:
+def _mean_lengths(mesh: Mesh, lengths: np.ndarray) -> np.ndarray:
     """(pieces,) mean edge length [m], zero for a piece without edges."""
-    lengths = np.linalg.norm(np.diff(mesh.rest_vertices[mesh.edges], axis=1)[:, 0], axis=1)
     piece, count = mesh.pieces[mesh.edges[:, 0]], len(mesh.density)
     return np.bincount(piece, lengths, count) / np.maximum(np.bincount(piece, minlength=count), 1)
 
 
-def _strips(mesh: Mesh, free: np.ndarray, graph: Graph) -> list[np.ndarray]:
-    """The vertices of each strip, in the order in which it is to be solved."""
-    n = len(free)
-    near, _, _ = symmetric(mesh.edges[:, 0], mesh.edges[:, 1], n)
-    depth, strips, shared = _depths(mesh, near), list[np.ndarray](), max(n // (2 * LANES), SHORTEST)
-    for rings, most, overlap in SHAPES:
+def _patch_sets(mesh: Mesh, free: np.ndarray, whole: Graph, short: np.ndarray) -> list[np.ndarray]:
+    """The vertices of each patch, in the order of elimination."""
+    near, _, _ = symmetric(mesh.edges[:, 0], mesh.edges[:, 1], len(free))
+    uneven = len(short) > 0 and float(short.mean()) > UNEVEN
+    return _strips(mesh, free, whole, near) if uneven else _hem(mesh, free, whole, near, short)
+
+
+def _strips(mesh: Mesh, free: np.ndarray, whole: Graph, near: Graph) -> list[np.ndarray]:
+    """Strips of all the cloth that follow the hem, or where there is none, surround some vertex."""
+    n, bare = len(free), _on_hem(mesh)
+    parts, first = np.unique(mesh.parts, return_index=True)
+    bare[first[~np.isin(parts, mesh.parts[bare])]] = True
+    depth, strips, shared = _depths(near, bare), list[np.ndarray](), max(n // (2 * LANES), SHORTEST)
+    for rings, most, overlap in STRIPS:
         strips = []
         for strip in range(int(depth.max(initial=0)) // rings + 1):
-            inside = free & (depth // rings == strip)
-            for whole in connected(near, inside, n):
-                strips += _cut(whole, min(most, shared), overlap, near, free, graph)
-        if sum(work_to_factor(graph, strip) for strip in strips) <= WORK * n:
+            for component in connected(near, free & (depth // rings == strip), n):
+                cut = _cut(near, _mask(component, n), min(most, shared), ENDS)
+                cut = [grown(near, part, free, overlap) for part in cut]
+                strips += [grown(whole, part, _mask(part, n), 0) for part in cut]  # in narrow order
+        if _work(whole, strips) <= WORK_OF_STRIPS * n:
             break
     return strips
 
 
-def _cut(
-    whole: np.ndarray, most: int, overlap: int, near: Graph, free: np.ndarray, graph: Graph
-) -> list[np.ndarray]:
-    """Parts of the strip `whole`, of at most `most` vertices before they overlap."""
-    n = len(free)
-    inside = _mask(whole, n)
-    parts = connected(near, inside, most)
-    if len(parts) > 1:
-        parts = [grown(near, part, inside, ENDS) for part in parts]
-    parts = [grown(near, part, free, overlap) for part in parts]
-    return [grown(graph, part, _mask(part, n), 0) for part in parts]  # in narrow order
+def _hem(mesh: Mesh, free: np.ndarray, whole: Graph, near: Graph, short: np.ndarray) -> list[np.ndarray]:
+    """What is within RINGS rings of the hem, and what `short` edges join, cut where that costs too much."""
+    n, depth = len(free), _depths(near, _on_hem(mesh))
+    hem = (depth >= 0) & (depth < RINGS)
+    joined = (hem[mesh.edges].all(axis=1) | short) & free[mesh.edges].all(axis=1)
+    a, b = mesh.edges[joined].T
+    graph, _, _ = symmetric(a, b, n)
+    sets = []
+    for component in connected(graph, np.diff(graph.first) > 0, n):
+        most = LARGEST
+        while True:
+            parts = _cut(graph, _mask(component, n), most, OVERLAP)
+            if most <= SMALLEST or _work(whole, parts) <= WORK * n:
+                break
+            most //= 2
+        sets += parts
+    return sets
+
+
+def _cut(graph: Graph, inside: np.ndarray, most: int, overlap: int) -> list[np.ndarray]:
+    """Parts of at most `most` of the vertices `inside` (n,), and rings by which they overlap if several."""
+    parts = connected(graph, inside, most)
+    return [grown(graph, part, inside, overlap if len(parts) > 1 else 0) for part in parts]
+
+
+def _work(graph: Graph, sets: list[np.ndarray]) -> float:
+    """Multiplications that factoring takes."""
+    return sum(work_to_factor(graph, members) for members in sets)
 
 
 def _mask(members: np.ndarray, n: int) -> np.ndarray:
@@ -166,32 +224,30 @@ def _mask(members: np.ndarray, n: int) -> np.ndarray:
     return mask
 
 
-def _depths(mesh: Mesh, near: Graph) -> np.ndarray:
-    """(n,) rings between each vertex and the hem, or where there is none, some vertex of its part.
-
-    The hem are the edges that have a triangle on one side only, or none.
-    """
+def _on_hem(mesh: Mesh) -> np.ndarray:
+    """(n,) bool: vertices of edges that have a triangle on one side only, or none."""
     sides = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, inverse, count = np.unique(
         np.concatenate([sides, np.sort(mesh.edges, axis=1)]), axis=0, return_inverse=True, return_counts=True
     )
-    depth = np.full(len(mesh.vertices), -1)
-    depth[mesh.edges[count[inverse.ravel()[len(sides) :]] < 3]] = 0
-    parts, first = np.unique(mesh.parts, return_index=True)
-    depth[first[~np.isin(parts, mesh.parts[depth == 0])]] = 0
-    ring, front = 0, np.flatnonzero(depth == 0)
+    return _mask(mesh.edges[count[inverse.ravel()[len(sides) :]] < 3], len(mesh.vertices))
+
+
+def _depths(near: Graph, begin: np.ndarray) -> np.ndarray:
+    """(n,) edges between each vertex and the nearest where `begin` (n,) is true; −1 where there is no way."""
+    depth, front = np.where(begin, 0, -1), np.flatnonzero(begin)
     while len(front):
-        ring += 1
         reached = np.unique(np.concatenate([neighbours(near, int(i)) for i in front]))
-        front = reached[depth[reached] < 0]
-        depth[front] = ring
+        reached = reached[depth[reached] < 0]
+        depth[reached] = depth[front[0]] + 1
+        front = reached
     return depth
 
 
-def _lanes(strips: Patches, coarse: Coarse, coarsest: Patches) -> Lanes:
+def _lanes(patches: Patches, coarse: Coarse, coarsest: Patches) -> Lanes:
     """Tasks shared out to lanes, so that each half of the lanes, and each half of that, has as much to do."""
     cycle = float(work_to_solve(coarsest).sum()) + COUPLING * len(coarse.column)
-    lanes = _halved({-1: cycle, **dict(enumerate(work_to_solve(strips)))}, LANES)
+    lanes = _halved({-1: cycle, **dict(enumerate(work_to_solve(patches)))}, LANES)
     counts = [len(lane) for lane in lanes]
     return Lanes(
         np.concatenate([[0], np.cumsum(counts)]), np.array([task for lane in lanes for task in lane])
@@ -212,17 +268,26 @@ def _halved(work: dict[int, float], lanes: int) -> list[list[int]]:
 def refresh(preconditioner, matrix):
     """Compute P⁻¹ anew for `matrix`."""
     h = preconditioner
+    invert_singles(h.local, matrix)
     galerkin(h.coarse, matrix)
-    factor_lanes(h.lanes, h.strips, h.coarse, h.coarsest, matrix)
+    factor_lanes(h.lanes, h.patches, h.coarse, h.coarsest, matrix)
 
 
 @parallel_kernel
-def factor_lanes(lanes, strips, coarse, coarsest, matrix):
-    """Factor the strips, and prepare the coarse levels."""
+def invert_singles(local, matrix):
+    """Invert the diagonal blocks of A of single vertices."""
+    for i in numba.prange(len(local.single)):
+        if local.single[i]:
+            invert(matrix.diagonal[i], local.inverse[i])
+
+
+@parallel_kernel
+def factor_lanes(lanes, patches, coarse, coarsest, matrix):
+    """Factor the patches, and prepare the coarse levels."""
     for lane in numba.prange(LANES):
         for t in range(lanes.first[lane], lanes.first[lane + 1]):
             if lanes.task[t] >= 0:
-                factor(strips, lanes.task[t], matrix.diagonal, matrix.block)
+                factor(patches, lanes.task[t], matrix.diagonal, matrix.block)
             else:
                 prepare(coarse, coarsest)
 
@@ -232,8 +297,8 @@ def precondition(preconditioner, r, z, partial, largest):
     """Fill z = P⁻¹ r and return rᵀ z and the largest |z_i|²; r must be zero on fixed vertices."""
     h = preconditioner
     _to_nodes(h.local, r, h.coarse.b)
-    _solve_lanes(h.lanes, h.strips, h.coarse, h.coarsest, r)
-    return _to_vertices(h.local, h.strips.room, h.coarse.x, r, z, partial, largest)
+    _solve_lanes(h.lanes, h.patches, h.coarse, h.coarsest, r)
+    return _to_vertices(h.local, h.patches.room, h.coarse.x, r, z, partial, largest)
 
 
 @parallel_kernel
@@ -251,37 +316,44 @@ def _to_nodes(local, r, b):
 
 
 @parallel_kernel
-def _solve_lanes(lanes, strips, coarse, coarsest, r):
-    """Solve on the strips, and on the coarse levels."""
+def _solve_lanes(lanes, patches, coarse, coarsest, r):
+    """Solve on the patches, and on the coarse levels."""
     for lane in numba.prange(LANES):
         for t in range(lanes.first[lane], lanes.first[lane + 1]):
             if lanes.task[t] >= 0:
-                solve_patch(strips, lanes.task[t], r)
+                solve_patch(patches, lanes.task[t], r)
             else:
                 cycle(coarse, coarsest)
 
 
 @parallel_kernel
 def _to_vertices(local, room, x, r, z, partial, largest):
-    """Fill z with what strips and nodes give; returns rᵀ z and the largest |z_i|²."""
+    """Fill z with what single vertices, patches and nodes give; returns rᵀ z and the largest |z_i|²."""
     n = len(r)
     for chunk in numba.prange(CHUNKS):
         total = most = 0.0
         begin, end = share(chunk, n)
         for i in range(begin, end):
-            a = b = c = 0.0
-            for k in range(local.of_place[i], local.of_place[i + 1]):
-                m = local.place[k]
-                a += room[m, 0]
-                b += room[m, 1]
-                c += room[m, 2]
+            u, v, w = r[i, 0], r[i, 1], r[i, 2]
+            if local.single[i]:
+                d = local.inverse[i]
+                a = d[0, 0] * u + d[0, 1] * v + d[0, 2] * w
+                b = d[1, 0] * u + d[1, 1] * v + d[1, 2] * w
+                c = d[2, 0] * u + d[2, 1] * v + d[2, 2] * w
+            else:
+                a = b = c = 0.0
+                for k in range(local.of_place[i], local.of_place[i + 1]):
+                    m = local.place[k]
+                    a += room[m, 0]
+                    b += room[m, 1]
+                    c += room[m, 2]
             for k in range(local.of_vertex[i], local.of_vertex[i + 1]):
                 m, s = local.node[k], local.node_weight[k]
                 a += s * x[m, 0]
                 b += s * x[m, 1]
                 c += s * x[m, 2]
             z[i, 0], z[i, 1], z[i, 2] = a, b, c
-            total += a * r[i, 0] + b * r[i, 1] + c * r[i, 2]
+            total += a * u + b * v + c * w
             most = max(most, a * a + b * b + c * c)
         partial[chunk], largest[chunk] = total, most
     most = 0.0

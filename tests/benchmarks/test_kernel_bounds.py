@@ -237,12 +237,13 @@ def add_forces(stage):
 
 def refresh(stage):
     whole, matrix = stage.model.preconditioner, stage.model.matrix
-    coarse = whole.coarse
-    read = fields(matrix, "diagonal", "block")
+    local, coarse = whole.local, whole.coarse
+    read = [local.single, *fields(matrix, "diagonal", "block")]
+    read.append(local.inverse[local.single])  # is written, but a copy: counted only
     read += fields(coarse, "upper", "lower", "of_target", "source", "weight")
-    for patches in (whole.strips, whole.coarsest):
+    for patches in (whole.patches, whole.coarsest):
         read += fields(patches, "of_source", "source", "place")
-    written = [whole.strips.band, whole.coarsest.band, *fields(coarse, "diagonal", "block")]
+    written = [whole.patches.band, whole.coarsest.band, *fields(coarse, "diagonal", "block")]
     written.append(coarse.inverse[: coarse.level[-2]])
     return Kernel(lambda: preconditioner.refresh(whole, matrix), read, written, [])
 
@@ -250,12 +251,12 @@ def refresh(stage):
 def apply_preconditioner(stage):
     whole, work, r, z = stage.model.preconditioner, stage.model.work, stage.r, stage.y
     local, coarse = whole.local, whole.coarse
-    names = ("of_place", "place", "of_vertex", "node", "node_weight", "of_node", "vertex", "vertex_weight")
-    read = [r, *fields(local, *names)]
+    names = ("single", "of_place", "place", "of_vertex", "node", "node_weight")
+    read = [r, local.inverse[local.single], *fields(local, *names, "of_node", "vertex", "vertex_weight")]
     read += fields(coarse, "first", "middle", "column", "block", "inverse", "of_up", "up", "up_weight")
-    for patches in (whole.strips, whole.coarsest):
+    for patches in (whole.patches, whole.coarsest):
         read += fields(patches, "vertex", "band")
-    room = [whole.strips.room, whole.coarsest.room, *fields(coarse, "x", "b")]
+    room = [whole.patches.room, whole.coarsest.room, *fields(coarse, "x", "b")]
 
     def run():
         return preconditioner.precondition(whole, r, z, work.partial, work.largest)[0]
