@@ -11,8 +11,8 @@ import numpy as np
 
 from sim.compiled import Vec3, add, dot, inner, kernel, norm, row, scale, sub
 
-CREEP = 9e-5
-"""Smallest slip [m/s] that a drag is estimated with: what creeps so goes 0.1 mm in a second at most."""
+CREEP = 1e-4
+"""Smallest slip [m/s] that a drag is estimated with."""
 
 SLOW = 5e-3
 """What slides no faster [m/s] is stopped after the solve, so far as its cone allows. To stop what is faster

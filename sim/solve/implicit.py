@@ -36,12 +36,6 @@ ROUNDING = 1e-14
 FILTERED = 2
 """Newton iterations that use the filtered Hessian; the exact one, for the last digits, comes after them."""
 
-PART_WAY = 0.5
-"""Part of its way with unchanged velocities after which a linearised step in contact has springs' directions.
-
-One that turns by θ is then off by θ² / 8 of its length, whether it turns on as it did or is stopped; with the
-directions at the start by θ² / 2 or nothing, and that throws cloth that wrinkles as it lands."""
-
 SHORTEST_STEP = 1e-6
 """Part of a Newton step below which the line search gives up and keeps what it has."""
 
@@ -118,7 +112,7 @@ def backward_euler(
         x_hat: (n, 3) [m], equal to `start` on fixed vertices.
         v_hat: (n, 3) [m/s], zero on fixed vertices.
         h: Length of the step [s].
-        start: (n, 3) positions near which to linearise first [m].
+        start: (n, 3) positions to linearise at first [m].
         filtered: Newton iterations before those with the exact Hessian.
         booked: Whether to say what the solve felt.
         guess: (n, 3) velocities near those that the first linear solve ends with; `v_hat` without [m/s].
@@ -126,8 +120,6 @@ def backward_euler(
     Raises:
         SolveError: where the matrix is not positive definite or a number is not finite.
     """
-    if settings.newton == 1 and len(contacts.drag):
-        start = start + PART_WAY * (x_hat + h * v_hat - start)
     velocities = (start - x_hat) / h
     fall = model.confined(np.broadcast_to(h * np.asarray(settings.gravity), start.shape))
     guess, shortcut = (v_hat if guess is None else guess) - velocities, fall

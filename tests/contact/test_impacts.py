@@ -318,11 +318,6 @@ def test_the_judge_sees_a_tangle_without(without, monkeypatch):
     if without == "continuous detection":
         monkeypatch.setattr(pairs.Pairs, "hits", lambda self, *_: NO_CONTACTS)
     else:
-        listed = pairs.Pairs._listed
-
-        def first(self, end):
-            return listed(self, end) if self._list is None else self._list
-
-        monkeypatch.setattr(pairs.Pairs, "_listed", first)
+        monkeypatch.setattr(pairs.Pairs, "_holding", lambda self, _: self._list)
     with pytest.raises(AssertionError, match=TANGLED):
         run_cleanly(two_sheets(30.0), 10)

@@ -40,7 +40,7 @@ def strain(world):
 @pytest.mark.parametrize("kind", ["box", "sphere"])
 @pytest.mark.parametrize("gap", [1e-3, 0.0, -0.01])
 def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, gap):
-    """Within the overlap where they do; no faster than they close; and as good as new at the end."""
+    """Halfway inside both where they overlap; no faster than they close; and as good as new at the end."""
     world = jaws(kind, gap)
     fastest = deepest = 0.0
     reports = []
@@ -55,7 +55,7 @@ def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, ga
     # The jaws close at 1.1 m/s at most; cloth slips out of the wedge between the balls by a few times that.
     assert fastest < 5.0
     # What both press stands still in a part of a step: in an eighth, they go 2 of 18 mm.
-    assert deepest <= max(-gap, 0.0) + 2e-3
+    assert deepest <= max(-gap / 2, 0.0) + 2e-3
     assert reports[-1].penetrations == 0
     assert strain(world) < 0.1
 
