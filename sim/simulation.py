@@ -342,8 +342,7 @@ class Simulation:
                 solution, touch = self._advance(report)
                 while self.sleeping.any() and self._rest.rouse(self._rest.touched(self.contact.joins)):
                     self.model.hold(self.sleeping)
-                    kept = {name: getattr(report, name) for name in ("ms", "costs", "costs_below")}
-                    report = StepReport(**kept)
+                    report = StepReport(ms=report.ms, costs=report.costs, costs_below=report.costs_below)
                     solution, touch = self._advance(report)
         except StepError:
             if ramp is not self._ramp:

@@ -366,14 +366,14 @@ def test_a_rest_angle_lifts_the_end_of_a_cantilever_of_angle_springs():
 
 
 def test_only_cross_springs_shorten_the_soft_cloth():
-    """Lengths after 5 s: those with modified springs and with none agree to a tenth of the tolerance."""
+    """Lengths after 5 s: those with modified springs and with none agree to what still moves."""
     lengths = {}
     for kind in ("none", "modified", "angle", "cross"):
-        world, _, _ = run("interference", 5.0, bend=kind)
+        world, _, _ = run("interference", 5.0, bend=kind, tolerance=1e-6)
         lengths[kind] = np.ptp(world.positions[:, 2])
     natural = np.ptp(sim.Simulation("interference").mesh.vertices[:, 2])
-    assert lengths["modified"] == pytest.approx(lengths["none"], abs=1e-5)
-    assert lengths["angle"] == pytest.approx(lengths["none"], abs=1e-5)
+    assert lengths["modified"] == pytest.approx(lengths["none"], abs=1e-6)
+    assert lengths["angle"] == pytest.approx(lengths["none"], abs=1e-6)
     assert lengths["none"] - natural > 3 * (lengths["cross"] - natural)
 
 

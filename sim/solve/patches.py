@@ -2,10 +2,9 @@
 
 The diagonal block of a patch is factored as Uᵀ D U (Golub and Van Loan 2013, §4.3). Vertices are ordered
 level by level from a far end (Cuthill and McKee 1969), so that the rows of U are short; each vertex has its
-own length (George and Liu 1981, ch. 4).
-The three rows of a vertex are eliminated together: what they change is read and written once, not three
-times. Factors are computed in double precision and kept in single: solves are half as many bytes, and a
-preconditioner needs no more digits.
+own length (George and Liu 1981, ch. 4). The three rows of a vertex are eliminated together: what they change
+is read and written once, not three times. Factors are computed in double precision and kept in single: solves
+are half as many bytes, and a preconditioner needs no more digits.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ def _strips(mesh: Mesh, free: np.ndarray, whole: Graph, near: Graph) -> list[np.
     n, bare = len(free), _on_hem(mesh)
     parts, first = np.unique(mesh.parts, return_index=True)
     bare[first[~np.isin(parts, mesh.parts[bare])]] = True
-    depth, strips, shared = _depths(near, bare), list[np.ndarray](), max(n // (2 * LANES), SHORTEST)
+    depth, strips, shared = _depths(near, bare, n), list[np.ndarray](), max(n // (2 * LANES), SHORTEST)
     for rings, most, overlap in STRIPS:
         strips = []
         for strip in range(int(depth.max(initial=0)) // rings + 1):
@@ -189,8 +189,7 @@ def _strips(mesh: Mesh, free: np.ndarray, whole: Graph, near: Graph) -> list[np.
 
 def _hem(mesh: Mesh, free: np.ndarray, whole: Graph, near: Graph, short: np.ndarray) -> list[np.ndarray]:
     """What is within RINGS rings of the hem, and what `short` edges join, cut where that costs too much."""
-    n, depth = len(free), _depths(near, _on_hem(mesh))
-    hem = (depth >= 0) & (depth < RINGS)
+    n, hem = len(free), _depths(near, _on_hem(mesh), RINGS - 1) >= 0
     joined = (hem[mesh.edges].all(axis=1) | short) & free[mesh.edges].all(axis=1)
     a, b = mesh.edges[joined].T
     graph, _, _ = symmetric(a, b, n)
@@ -233,14 +232,15 @@ def _on_hem(mesh: Mesh) -> np.ndarray:
     return _mask(mesh.edges[count[inverse.ravel()[len(sides) :]] < 3], len(mesh.vertices))
 
 
-def _depths(near: Graph, begin: np.ndarray) -> np.ndarray:
-    """(n,) edges between each vertex and the nearest where `begin` (n,) is true; −1 where there is no way."""
+def _depths(near: Graph, begin: np.ndarray, most: int) -> np.ndarray:
+    """(n,) edges, up to `most`, between each vertex and the nearest where `begin` (n,) is true; or −1."""
     depth, front = np.where(begin, 0, -1), np.flatnonzero(begin)
-    while len(front):
+    for ring in range(1, most + 1):
+        if not len(front):
+            break
         reached = np.unique(np.concatenate([neighbours(near, int(i)) for i in front]))
-        reached = reached[depth[reached] < 0]
-        depth[reached] = depth[front[0]] + 1
-        front = reached
+        front = reached[depth[reached] < 0]
+        depth[front] = ring
     return depth
 
 
