@@ -426,11 +426,11 @@ class Pipeline:
             felt = np.isin(np.arange(len(faces) - count), pairs.solid.part)
             faces = np.concatenate([[pairs.feels.within, pairs.feels.between], felt]).astype(int)
             edges = int(pairs.feels.edges)
+        whole = int(faces.sum()) + edges
         each = zip((*COLLISIONS, *(OBSTACLE + label for label in labels)), faces.tolist(), strict=False)
         for name, part in (*each, ("obstacles", int(faces[count:].sum())), ("edge_edge", edges)):
             if part:
-                spent = ms * part / (faces.sum() + edges)
-                report.costs[name] = report.costs.get(name, 0.0) + spent
+                report.costs[name] = report.costs.get(name, 0.0) + ms * part / whole
 
     def _hits(self, way: _Way, pairs: Pairs | None, end: np.ndarray, part: float = 1.0) -> Contacts:
         """Pairs, and faces and obstacles, that meet on the way to `end`, to a `part` of the usual gap."""
