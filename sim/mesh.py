@@ -109,13 +109,17 @@ def build_mesh(scene: Scene) -> Mesh:
 
 def bare_edges(mesh: Mesh) -> np.ndarray:
     """(k, 2) int32 edges that are sides of no triangle."""
-    return _bare_edges(mesh.triangles, mesh.edges, len(mesh.vertices))
+    return mesh.edges[triangles_at(mesh.edges, mesh.triangles, len(mesh.vertices)) == 0]
 
 
-def _bare_edges(triangles: np.ndarray, edges: np.ndarray, n: int) -> np.ndarray:
+def triangles_at(edges: np.ndarray, triangles: np.ndarray, n: int) -> np.ndarray:
+    """(e,) how many of the triangles of n vertices each edge is a side of."""
     number = np.array([n, 1], dtype=np.int64)
-    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    return edges[~np.isin(np.sort(edges) @ number, np.sort(sides) @ number)]
+    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)) @ number
+    of, count = np.unique(sides, return_counts=True)
+    wanted = np.sort(edges) @ number
+    at = np.minimum(np.searchsorted(of, wanted), len(of) - 1)
+    return np.where(of[at] == wanted, count[at], 0) if len(of) else np.zeros(len(edges), dtype=np.int64)
 
 
 def elements(mesh: Mesh) -> np.ndarray:
@@ -130,7 +134,7 @@ def elements_of(triangles: np.ndarray, edges: np.ndarray, n: int) -> np.ndarray:
     """
     alone = np.ones(n, dtype=bool)
     alone[edges] = False
-    bare, single = _bare_edges(triangles, edges, n), np.flatnonzero(alone)[:, None]
+    bare, single = edges[triangles_at(edges, triangles, n) == 0], np.flatnonzero(alone)[:, None]
     return np.concatenate([triangles, bare[:, [0, 1, 1]], single[:, [0, 0, 0]]]).astype(np.int32)
 
 

@@ -24,7 +24,7 @@ import numba
 import numpy as np
 
 from sim.compiled import CHUNKS, even_shares, indices, inner, kernel, offsets, parallel_kernel, share
-from sim.mesh import Mesh
+from sim.mesh import Mesh, triangles_at
 from sim.solve.graph import Graph, connected, grown, neighbours, starts, symmetric
 from sim.solve.multigrid import Coarse, build_levels, cycle, galerkin, prepare
 from sim.solve.patches import Patches, build_patches, factor, solve_patch, work_to_factor, work_to_solve
@@ -225,11 +225,8 @@ def _mask(members: np.ndarray, n: int) -> np.ndarray:
 
 def _on_hem(mesh: Mesh) -> np.ndarray:
     """(n,) bool: vertices of edges that have a triangle on one side only, or none."""
-    sides = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, inverse, count = np.unique(
-        np.concatenate([sides, np.sort(mesh.edges, axis=1)]), axis=0, return_inverse=True, return_counts=True
-    )
-    return _mask(mesh.edges[count[inverse.ravel()[len(sides) :]] < 3], len(mesh.vertices))
+    n = len(mesh.vertices)
+    return _mask(mesh.edges[triangles_at(mesh.edges, mesh.triangles, n) < 2], n)
 
 
 def _depths(near: Graph, begin: np.ndarray, most: int) -> np.ndarray:
