@@ -282,6 +282,32 @@ def cost(name: str, words: str, report: StepReport) -> Cost:
     return Cost(None, False, "in the figure of contact, which has it of one piece")
 
 
+@dataclass(frozen=True)
+class _Chosen:
+    """What `settings` make of the effects of a scene.
+
+    Attributes:
+        settings: In force.
+        effects: By name.
+        off: What is said of those that are off.
+    """
+
+    settings: Settings
+    effects: Mapping[str, Effect]
+    off: Mapping[str, str]
+
+    @staticmethod
+    def by(settings: Settings, obstacles: Sequence[str]) -> _Chosen:
+        """For a scene whose obstacles are called so."""
+        effects = effects_with(obstacles)
+        off = {
+            name: f"off: {_why_off(effect)}"
+            for name, effect in effects.items()
+            if effect.has(effect.off, settings)
+        }
+        return _Chosen(settings, effects, off)
+
+
 class Told:
     """Says of each step what its effects did, and remembers for how long they have been skipped.
 
@@ -293,6 +319,13 @@ class Told:
     def __init__(self) -> None:
         self.skipped: dict[str, int] = {}
         self.usual: dict[str, float] = {}
+        self._chosen: _Chosen | None = None
+
+    def _in_force(self, settings: Settings, obstacles: Sequence[str]) -> _Chosen:
+        """What follows from the settings alone, which hardly ever change."""
+        if self._chosen is None or self._chosen.settings is not settings:
+            self._chosen = _Chosen.by(settings, obstacles)
+        return self._chosen
 
     def tell(
         self,
@@ -312,8 +345,8 @@ class Told:
             limit: Longest stable step of an explicit integrator [s], None for an implicit one, nan where
                 there is none because the springs are wrong.
         """
-        effects, there = effects_with(obstacles), feels_obstacles(settings, obstacles)
-        found = dict.fromkeys(effects, "ran")
+        chosen, there = self._in_force(settings, obstacles), feels_obstacles(settings, obstacles)
+        found = dict.fromkeys(chosen.effects, "ran")
         for springs in model.springs:
             found[SPRINGS[springs.kind.stiffness]] = _springs(springs, report)
         found["obstacles"] = _obstacles(settings, report, obstacles)
@@ -326,9 +359,8 @@ class Told:
         found["wind"] = "ran" if model.wind is not None else NO_TRIANGLES
         found["strain_limiting"] = _strain(report)
         found["friction"] = "ran" if report.contacts else "skipped: no contacts"
-        for name, effect in effects.items():
-            if state(name, settings) == "off":
-                found[name] = f"off: {_why_off(effect)}"
+        found |= chosen.off
+        for name in chosen.effects:
             found[name] += self._streak(name, found[name], report)
         found["contact"] = _contact(settings, model, report, obstacles, there)
         found["integrator"] = _integrator(settings, report, limit)
@@ -337,12 +369,11 @@ class Told:
 
     def asleep(self, settings: Settings, obstacles: Sequence[str]) -> dict[str, str]:
         """The same of a step that is left out, as all cloth sleeps."""
-        off = {
-            name: f"off: {_why_off(effect)}" if state(name, settings) == "off" else ""
-            for name, effect in effects_with(obstacles).items()
-        }
-        return {name: words or "skipped: all cloth is at rest" for name, words in off.items()} | {
-            "sleep": "asleep"
+        chosen = self._in_force(settings, obstacles)
+        return {
+            **dict.fromkeys(chosen.effects, "skipped: all cloth is at rest"),
+            **chosen.off,
+            "sleep": "asleep",
         }
 
     def _streak(self, name: str, words: str, report: StepReport) -> str:

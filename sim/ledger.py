@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim.accounts import DISSIPATED, INJECTED
+from sim.compiled import kernel
 from sim.contact.contacts import Contacts, along
 from sim.contact.friction import rub
 from sim.contact.hold import slow
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
     from sim.model import Model
 
 Account = dict[str, float]
+
+NOTHING = np.zeros((0, 3))
+"""Vectors of vertices where there are none."""
 
 
 @dataclass(frozen=True)
@@ -156,13 +160,11 @@ class Tally:
 
     def after(self, stage: Solution, v_hat: np.ndarray, h: float) -> State:
         """The end of a stage of backward Euler over `h` [s] from velocities and rows `v_hat`."""
-        felt, n = stage.felt, len(stage.positions)
+        felt = stage.felt
         assert felt is not None
-        rates = self._rates(stage.positions, stage.velocities, felt, anew=False)
-        rates[n : 2 * n] = felt.impulse / h - rates[:n] - felt.normal - felt.friction
-        rates *= h
-        rates += v_hat[n:]
-        return self._below(stage.positions), np.concatenate([stage.velocities, rates])
+        rates, end = self._rates(stage.positions, stage.velocities, felt, anew=False), np.empty_like(v_hat)
+        _integrate(stage.velocities, rates, felt.impulse, v_hat, h, end)
+        return self._below(stage.positions), end
 
     def rates(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Accelerations (n, 3) [m/s²] of an explicit stage, and the rows' rates below them."""
@@ -173,12 +175,10 @@ class Tally:
     def _rates(self, x: np.ndarray, v: np.ndarray, felt: Felt, anew: bool) -> np.ndarray:
         n = len(x)
         rates = np.zeros((4 * n + 2, 3))
-        rates[:n], taken = self._model.felt(x, v, anew)
+        taken, blown = self._model.felt(x, v, anew, rates[:n])
         rates[2 * n : 3 * n], rates[3 * n : 4 * n] = felt.normal, felt.friction
-        rates[4 * n, 0], rates[4 * n, 1] = sum(taken.values()), self._wrong(v, taken)
+        rates[4 * n] = sum(taken.values()), self._wrong(v, taken), blown
         rates[4 * n + 1, :2] = felt.carried
-        if self._model.wind is not None:
-            rates[4 * n, 2] = self._model.wind.power(v)
         return rates
 
     def _wrong(self, v: np.ndarray, taken: Account) -> float:
@@ -233,24 +233,32 @@ class Part:
 
     def respond_anew(self) -> None:
         """Forget what an earlier try at a response gave."""
-        self._given = {name: np.zeros_like(self._x) for name in ("contact", "friction")}
-        self._carried = dict.fromkeys(self._given, 0.0)
+        self._given: dict[str, np.ndarray] = {}
+        self._carried = dict.fromkeys(("contact", "friction"), 0.0)
 
     def keep_apart(self, contacts: Contacts, targets, masses, inverse, h, x, v, given, report) -> None:
         """As `sim.contact.zones.keep_apart`."""
-        before = given.copy()
-        with self._giving("contact", v):
-            keep_apart(contacts, targets, masses, inverse, h, x, v, given, report)
+        if not len(given):
+            return
+        before, was = given.copy(), v.copy()
+        keep_apart(contacts, targets, masses, inverse, h, x, v, given, report)
+        if np.array_equal(given, before):
+            return
+        self._give("contact", v - was)
         self._carried["contact"] += float((given - before) @ along(contacts.normal, contacts.speed))
 
     def rub(self, contacts: Contacts, masses, inverse, h, x, v, allowed) -> None:
         """As `sim.contact.friction.rub`."""
+        if not len(allowed):
+            return
         with self._giving("friction", v):
             carried = rub(contacts, masses, inverse, h, x, v, allowed)
         self._carried["friction"] += carried
 
     def slow(self, v, which, most) -> None:
         """As `sim.contact.hold.slow`."""
+        if not len(which):
+            return
         with self._giving("contact", v):
             slow(v, which, most)
 
@@ -259,43 +267,85 @@ class Part:
         rubbed = np.zeros_like(v)
         with self._giving("contact", v):
             pushed, dragged = project(contacts, friction, masses, inverse, x, v, rubbed)
-        rubbed *= self._model.masses[:, None]
-        self._given["contact"] -= rubbed
-        self._given["friction"] += rubbed
+        self._give("contact", -rubbed)
+        self._give("friction", rubbed)
         self._carried["contact"] += pushed
         self._carried["friction"] += dragged
 
     @contextmanager
     def _giving(self, name: str, v: np.ndarray) -> Iterator[None]:
-        """Book what the block does to velocities `v` (n, 3) as impulses of `name`."""
+        """Book what the block does to velocities `v` (n, 3) as given by `name`."""
         before = v.copy()
         yield
-        self._given[name] += self._model.masses[:, None] * (v - before)
+        self._give(name, v - before)
+
+    def _give(self, name: str, change: np.ndarray) -> None:
+        """Book a `change` (n, 3) of velocities [m/s]."""
+        self._given[name] = self._given[name] + change if name in self._given else change
 
     def close(self, solution: Solution) -> None:
         """Make the entries, at the end of it: the `solution` has the rows of a Tally."""
         assert solution.rows is not None
-        n, x, v = len(self._x), solution.positions, solution.velocities
-        impulse, linear, normal, friction = (solution.rows[k * n : (k + 1) * n] for k in range(4))
-        (damping, wrong, wind), (pushed, rubbed, _) = solution.rows[4 * n :].tolist()
+        (damping, wrong, wind), (pushed, rubbed, _) = solution.rows[-2:].tolist()
         pushed, rubbed = pushed + self._carried["contact"], rubbed + self._carried["friction"]
-        mean, potential = 0.5 * (self._v + v), self._model.energies(x)
+        given = (self._given.get(name, NOTHING) for name in ("contact", "friction"))
+        limited = NOTHING if solution.limited is None else solution.limited
+        about = self._v, solution.velocities, self._model.masses, solution.rows, *given, limited
+        kinetic, springs, linear, normal, friction, shortened = _works(*about).tolist()
+        potential = self._model.energies(solution.positions)
         changes = {name: energy - self._potential[name] for name, energy in potential.items()}
         wrong += sum(changes[s.name] for s in self._model.springs if s.kind.wrong)
         self.flows = {
             "damping": damping,
-            "friction": rubbed - _work(mean, friction + self._given["friction"]),
-            "contact": pushed - _work(mean, normal + self._given["contact"]),
-            "strain limiting": 0.0 if solution.limited is None else -_work(mean, solution.limited),
-            "linearisation": -_work(mean, linear),
-            "integrator": wrong + wind - sum(changes.values()) - _work(mean, impulse) - damping,
+            "friction": rubbed - friction,
+            "contact": pushed - normal,
+            "strain limiting": -shortened,
+            "linearisation": -linear,
+            "integrator": wrong + wind - sum(changes.values()) - springs - damping,
             "wind": wind,
             "obstacles": pushed + rubbed,
             "wrong springs": wrong,
         }
-        kinetic = _work(mean, self._model.masses[:, None] * (v - self._v))
         self.turnover = 0.5 * sum(map(abs, (kinetic, *changes.values(), *self.flows.values())))
 
 
-def _work(velocities: np.ndarray, impulses: np.ndarray) -> float:
-    return float(np.einsum("ij,ij->", velocities, impulses))
+@kernel
+def _integrate(velocities, rates, impulse, before, h, end):
+    """Fill `end` (5n + 2, 3): `velocities` (n, 3), and the rows `before` with their `rates` for h [s] more.
+
+    L is what of a solve's `impulse` (n, 3) [N s] the other forces are not.
+    """
+    n = len(velocities)
+    for i in range(n):
+        for c in range(3):
+            known = rates[i, c] + rates[2 * n + i, c] + rates[3 * n + i, c]
+            end[i, c] = velocities[i, c]
+            end[n + i, c] = before[n + i, c] + h * rates[i, c]
+            end[2 * n + i, c] = before[2 * n + i, c] + impulse[i, c] - h * known
+    for k in range(2 * n, 4 * n + 2):
+        for c in range(3):
+            end[n + k, c] = before[n + k, c] + h * rates[k, c]
+
+
+@kernel
+def _works(before, after, masses, rows, pushed, rubbed, limited):
+    """Works [J] along the mean of the velocities `before` and `after` (n, 3).
+
+    Of what changes these, and, as the first of the `rows` have them, of S, L, N and F; the last two with what
+    contacts `pushed` and `rubbed` velocities by after the solve, (n, 3) [m/s]; and of what strain limiting
+    gave, (n, 3) [N s]. Of these three NOTHING is none.
+    """
+    n, works = len(masses), np.zeros(6)
+    for i in range(n):
+        for c in range(3):
+            mean = 0.5 * (before[i, c] + after[i, c])
+            works[0] += mean * masses[i] * (after[i, c] - before[i, c])
+            for k in range(4):
+                works[1 + k] += mean * rows[k * n + i, c]
+            if len(pushed):
+                works[3] += mean * masses[i] * pushed[i, c]
+            if len(rubbed):
+                works[4] += mean * masses[i] * rubbed[i, c]
+            if len(limited):
+                works[5] += mean * limited[i, c]
+    return works

@@ -11,13 +11,22 @@ from sim.contact.contacts import Contacts, groups
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
 from sim.damping import damping_ratios
 from sim.effects import SPRINGS
-from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping, set_tension
+from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
 from sim.solve.cg import make_workspace
 from sim.solve.coupling import uncoupled
 from sim.solve.preconditioner import build_preconditioner
-from sim.solve.system import Gather, add_curvature, add_elements, add_forces, build_system, confine, reset
+from sim.solve.system import (
+    Gather,
+    add_curvature,
+    add_elements,
+    add_forces,
+    build_system,
+    confine,
+    pull,
+    reset,
+)
 from sim.springs.build import Springs, build_springs, kinds_in_force
 
 if TYPE_CHECKING:
@@ -64,6 +73,7 @@ class Model:
         self._known: tuple[np.ndarray, dict[str, float]] | None = None
         self.damping_ratios = damping_ratios(settings)
         self._set_masses()
+        self._set_weights()
         self._set_springs()
         self._set_wind()
 
@@ -73,6 +83,7 @@ class Model:
         idle = [springs for springs in self.springs if not springs.acts]
         if (old.mass, old.density) != (settings.mass, settings.density):
             self._set_masses()
+        self._set_weights()
         if kinds_in_force(old) != kinds_in_force(settings):
             known = {s.name: s for s in self.springs}
             self._set_springs(known)
@@ -105,6 +116,9 @@ class Model:
         self.masses = vertex_masses(self.mesh, self.settings.mass, self.settings.density)
         self._set_free_masses()
         self.piece_masses = np.bincount(self.mesh.pieces, self.masses)
+
+    def _set_weights(self) -> None:
+        self._weights = self.masses[:, None] * np.asarray(self.settings.gravity)
 
     def _set_springs(self, known: dict[str, Springs] | None = None) -> None:
         known = known or {}
@@ -174,7 +188,7 @@ class Model:
             forces[:] = 0.0
             return
         begin = perf_counter()
-        np.multiply(self.masses[:, None], np.asarray(self.settings.gravity), out=forces)
+        np.copyto(forces, self._weights)
         self._spent("gravity", begin)
 
     def _acting(self) -> list[tuple[Springs, Gather]]:
@@ -213,14 +227,19 @@ class Model:
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray, anew: bool = True) -> np.ndarray:
         """(n, 3) elastic, damping, gravity and wind forces [N]; b `anew`, or as last linearised."""
-        return self.felt(positions, velocities, anew)[0]
+        forces = np.empty_like(positions)
+        self.felt(positions, velocities, anew, forces)
+        return forces
 
     def felt(
-        self, positions: np.ndarray, velocities: np.ndarray, anew: bool
-    ) -> tuple[np.ndarray, dict[str, float]]:
-        """The `forces`, and what the damping of each kind takes [W]; `energies` there are known then, too."""
+        self, positions: np.ndarray, velocities: np.ndarray, anew: bool, forces: np.ndarray
+    ) -> tuple[dict[str, float], float]:
+        """Fill `forces` (n, 3) [N] as `forces` has them; `energies` there are known then, too.
+
+        Returns:
+            What the damping of each kind takes [W], and what the air gives [W].
+        """
         self.measure(positions)
-        forces = np.empty_like(positions)
         self._weigh(forces)
         stored, taken = dict.fromkeys((springs.name for springs in self.springs), 0.0), {}
         for springs, gather in self._acting():
@@ -228,15 +247,15 @@ class Model:
                 begin = perf_counter()
                 set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
                 self._spent_with_damping(begin)
-            stored[springs.name], taken[springs.name] = set_tension(springs.elements, velocities)
-            add_forces(springs.elements, gather, forces)
+            stored[springs.name], taken[springs.name] = pull(springs.elements, gather, velocities, forces)
         self._know(positions, stored)
+        blown = 0.0
         if self.wind is not None:
             self.wind.measure(positions, velocities)
-            self.wind.push(velocities, forces)
+            blown = self.wind.push(velocities, forces)
         if self.axis is not None:
             forces[:, self.axis] = 0.0
-        return forces, taken
+        return taken, blown
 
     def accelerations(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) forces over masses [m/s²], zero for pinned vertices."""

@@ -180,10 +180,9 @@ class Simulation:
 
     def momentum(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear momentum (3,) [kg m/s] and angular momentum about the origin (3,) [kg m²/s]."""
-        linear = self.model.masses[:, None] * self._velocities
-        # a quarter of what each one's cross product takes
-        about = np.einsum("ni,nj->ij", self._positions, linear)
-        return linear.sum(axis=0), (about - about.T)[[1, 2, 0], [2, 0, 1]]
+        # a tenth of what each one's cross product takes
+        about = (self.model.masses * self._positions.T) @ self._velocities
+        return self.model.masses @ self._velocities, (about - about.T)[[1, 2, 0], [2, 0, 1]]
 
     def forces(self) -> np.ndarray:
         """(n, 3) elastic, damping, gravity and wind forces [N] at the present state, contact left out."""
@@ -404,7 +403,7 @@ class Simulation:
         report.energy_injected = report.energy_jump = 0.0
         with report.phase("report"):
             self._time += self.settings.dt
-            report.effects = self._told.asleep(self.settings, self.scene.obstacle_labels)
+            report.effects = self._told.asleep(self.settings, self.contact.obstacles.labels)
         report.close(begin)
         return report
 
@@ -495,7 +494,7 @@ class Simulation:
             self._limit = None
         elif self._limit is None:
             self._limit = self.stability_limit() if self.model.conservative else math.nan
-        about = self.settings, self.model, report, self.scene.obstacle_labels, self._limit
+        about = self.settings, self.model, report, self.contact.obstacles.labels, self._limit
         return self._told.tell(*about)
 
 

@@ -109,7 +109,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         if one_sheet:
             corners = np.arange(4, dtype=np.int32)
             outspread.clearance(corners[None, :3], corners, np.eye(4, 3), np.eye(4, 3), 0.0)
-        world.keep_ledger()  # which has no kernels of its own, but calls some that a linearised step does not
+        world.keep_ledger()  # which has kernels of its own, and calls some that a linearised step does not
         world.step()
         if exact:
             world.model.linearise(world.positions.copy(), world.velocities.copy(), NO_GAP_SPRINGS, 0.01, True)

@@ -68,9 +68,9 @@ class Wind:
         about = self._triangles, positions, self.air - velocities, self._strength, self._part
         _measure(*about, self.drag, self.lift)
 
-    def push(self, velocities: np.ndarray, forces: np.ndarray) -> None:
-        """Add g (w − v) and the lift to `forces` (n, 3) [N]."""
-        forces += self.drag[:, None] * (self.air - velocities) + self.lift
+    def push(self, velocities: np.ndarray, forces: np.ndarray) -> float:
+        """Add g (w − v) and the lift to `forces` (n, 3) [N]; gives their power [W]."""
+        return _push(self.air, self.drag, self.lift, velocities, forces)
 
     def linearise(self, velocities: np.ndarray, h: float, matrix: Matrix, forces: np.ndarray) -> None:
         """`push`, and add h g to the diagonal of the matrix of an implicit step of h [s]."""
@@ -129,3 +129,15 @@ def _measure(triangles, positions, passing, strength, part, drag, lift):
                 lee = scale(math.copysign(speed, across), n)
                 up = sub(lee, scale(abs(across) / speed, u))
                 put(lift, i, add(row(lift, i), scale(part * g, up)))
+
+
+@kernel
+def _push(air, drag, lift, velocities, forces):
+    """Add drag (air − v) and lift to `forces`; returns their power."""
+    power = 0.0
+    for i in range(len(forces)):
+        for c in range(3):
+            force = drag[i] * (air[i, c] - velocities[i, c]) + lift[i, c]
+            forces[i, c] += force
+            power += force * velocities[i, c]
+    return power

@@ -202,6 +202,7 @@ MADE = [
     ("curtain", {"integrator": "bdf2", "newton": 3}),
     ("ghost", {"integrator": "tr_bdf2", "bend": "adhoc"}),
     ("drape2d", {"integrator": "symplectic_euler", "dt": 5e-5}),
+    ("flag", {}),
 ]
 
 

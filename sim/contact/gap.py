@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiled import inner, kernel
+from sim.compiled import dot, inner, kernel, row, scale
 from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps, weighted
 from sim.contact.friction import CREEP, EXCESS, LACKING, STEADY, expected_drag, slip_of
 from sim.contact.response import Response, lacks, targets
@@ -121,15 +121,9 @@ class GapSprings(NamedTuple):
         normal, friction = np.zeros_like(positions), np.zeros_like(positions)
         if not len(self.drag):
             return normal, friction, (0.0, 0.0)
-        push, n = -self._tension(positions, velocities), self.contacts.normal
-        push = push if pull else np.maximum(push, 0.0)
-        passing = self.contacts.passing(velocities)
-        slip = passing - along(n, passing)[:, None] * n
-        each = push[:, None] * n, -self.drag[:, None] * slip
-        for forces, force in zip((normal, friction), each, strict=True):
-            spread(self.contacts, force, forces)
-        pushed, rubbed = (float(np.sum(force * self.contacts.speed)) for force in each)
-        return normal, friction, (pushed, rubbed)
+        self._tension(positions, velocities)
+        about = self.contacts, self.elements, self.drag, velocities, pull, normal, friction
+        return normal, friction, spread(*about)
 
     def engage(self, positions: np.ndarray, slack: float) -> bool:
         """Let go of contacts more than `slack` [m] off their target, and take up those that lack as much.
@@ -218,13 +212,26 @@ def gap_springs(
 
 
 @kernel
-def spread(contacts, each, forces):
-    """Add to `forces` (n, 3) what each contact's vertices get of its force, `each` (c, 3)."""
-    for c in range(len(each)):
+def spread(contacts, elements, drag, velocities, pull, normal, friction):
+    """Add what each contact's vertices get of its forces along the normal and across, (n, 3) [N].
+
+    Returns the powers [W] that the motion of the contacts' other sides puts in by both.
+    """
+    pushed = rubbed = 0.0
+    for c in range(len(drag)):
+        push = -elements.tension[c]
+        if push < 0.0 and not pull:
+            push = 0.0
+        shove, speed = scale(push, row(contacts.normal, c)), row(contacts.speed, c)
+        rub = scale(-drag[c], slip_of(contacts, velocities, c))
         for a in range(4):
             i, w = contacts.node[c, a], contacts.weight[c, a]
             for r in range(3):
-                forces[i, r] += w * each[c, r]
+                normal[i, r] += w * shove[r]
+                friction[i, r] += w * rub[r]
+        pushed += dot(shove, speed)
+        rubbed += dot(rub, speed)
+    return pushed, rubbed
 
 
 @kernel

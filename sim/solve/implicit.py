@@ -174,9 +174,18 @@ def _modelled(model: Model, forces: np.ndarray, full: np.ndarray, step: np.ndarr
 
     Of a step that the line search shortened it also has what that left out, on purpose: A (full − step).
     """
-    product = np.empty_like(full)
-    multiply(model.matrix, model.coupling, model.free, full, product, model.work.partial)
-    return h * forces - product + model.masses[:, None] * step
+    impulse = np.empty_like(full)
+    multiply(model.matrix, model.coupling, model.free, full, impulse, model.work.partial)
+    _add_impulse(h, forces, model.masses, step, impulse)
+    return impulse
+
+
+@kernel
+def _add_impulse(h, forces, masses, step, product):
+    """Turn the `product` A step into h f − A step + M step."""
+    for i in range(len(step)):
+        for c in range(3):
+            product[i, c] = h * forces[i, c] - product[i, c] + masses[i] * step[i, c]
 
 
 def _what_broke(forces: np.ndarray) -> str:

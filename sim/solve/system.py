@@ -24,7 +24,7 @@ from sim.compiled import (
     scale,
     share,
 )
-from sim.elements import NONE
+from sim.elements import NONE, set_tension
 from sim.solve.graph import Graph, symmetric
 
 
@@ -225,6 +225,14 @@ def add_forces(elements, gather, forces):
         forces[i, 0] -= x
         forces[i, 1] -= y
         forces[i, 2] -= z
+
+
+@kernel
+def pull(elements, gather, velocities, forces):
+    """Do `set_tension` and `add_forces` in one call, and return what the former does."""
+    sums = set_tension(elements, velocities)
+    add_forces(elements, gather, forces)
+    return sums
 
 
 @kernel
