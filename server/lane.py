@@ -23,6 +23,9 @@ ROUNDING = 1e-9
 PATIENCE = 0.7
 """Wall time [s] after which it is said that something takes long."""
 
+FIGURES_EVERY = 0.1
+"""Wall time [s] for which energies and momenta are good while time runs: nobody reads them more often."""
+
 SHARE = 0.005
 """Of wall time, that counting what crosses may take while time runs."""
 
@@ -33,7 +36,8 @@ class Advance:
 
     Attributes:
         seconds: How much.
-        counted: Count what crosses in the frame after it, whatever that takes: it may be the last for long.
+        counted: Count what crosses in the frame after it, whatever that takes, and have its energies and
+            momenta be of its very time: it may be the last for long.
     """
 
     seconds: float
@@ -73,7 +77,7 @@ class Frame:
         ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
         report: The last step's report, None before the first.
         crossings: How many edges go through triangles now; None where that was not counted.
-        energy: Energies [J] by kind.
+        energy: Energies [J] by kind; these, ledger and momentum may be FIGURES_EVERY old.
         ledger: Where energy went, None where no books are kept.
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
         settings: In force when the frame was made.
@@ -134,6 +138,7 @@ class Lane(threading.Thread):
         self._refused = self._blamed = self._note = ""
         self._spent: list[Mapping[str, float]] = []
         self._count_next, self._count_due = False, 0.0
+        self._figures, self._figures_due = {}, 0.0
 
     def send(self, command: Advance | Change | Reset | Ask) -> None:
         """Queue a command; it takes effect between two steps. One that only asks leads to no new frame."""
@@ -195,7 +200,8 @@ class Lane(threading.Thread):
             changes = {}
             if isinstance(command, Advance) and not self._refused:
                 self._owed += command.seconds
-                self._count_next |= command.counted
+                if command.counted:
+                    self._count_next, self._figures_due = True, 0.0
             elif isinstance(command, Reset):
                 self._start(command.settings)
             elif isinstance(command, Ask):
@@ -206,6 +212,7 @@ class Lane(threading.Thread):
 
     def _start(self, settings: Settings) -> None:
         self._settings, self._owed, self._spent, self._count_next = settings, 0.0, [], True
+        self._figures_due = 0.0
         self._refused = self._blamed = self._note = ""
         self._doing = ("starting", perf_counter())
         self._world = self._report = None
@@ -232,7 +239,7 @@ class Lane(threading.Thread):
         except Exception as error:
             self._refuse("change failed", error)
             return
-        self.step_length = self._world.settings.dt
+        self.step_length, self._figures_due = self._world.settings.dt, 0.0
         self._refused = self._blamed = self._note = ""
 
     def _step(self) -> None:
@@ -248,7 +255,7 @@ class Lane(threading.Thread):
 
     def _refuse(self, what: str, error: Exception) -> None:
         """Stand still and say why; errors that are no verdict of the simulation also go to the log."""
-        self._owed = 0.0
+        self._owed = self._figures_due = 0.0
         self._refused = f"{what}: {getattr(error, 'reason', error)}".removeprefix(": ")
         self._blamed = getattr(error, "setting", "")
         if type(error).__name__ not in ("StepError", "SceneError"):
@@ -260,7 +267,7 @@ class Lane(threading.Thread):
         if world is None:
             self.frame = Frame(refused=self._refused, blamed=self._blamed)
             return
-        ledger, crossings = getattr(world, "ledger", None), self._crossings()
+        figures, crossings = self._energies(), self._crossings()
         self.frame = Frame(
             positions=world.positions.astype(np.float32),
             poses=world.obstacle_poses(),
@@ -269,15 +276,23 @@ class Lane(threading.Thread):
             ms=mean_ms(self._spent),
             report=self._report,
             crossings=crossings,
-            energy=dict(ledger.energy if ledger else world.energy()),
-            ledger=ledger,
-            momentum=world.momentum(),
+            **figures,
             settings=world.settings,
             refused=self._refused,
             blamed=self._blamed,
             note=self._note,
         )
         self._spent = []
+
+    def _energies(self) -> dict[str, Any]:
+        """Energies, ledger and momentum for a frame, as they were not long ago or, where that is due, are."""
+        now = perf_counter()
+        if now >= self._figures_due:
+            world, self._figures_due = self._world, now + FIGURES_EVERY
+            ledger = getattr(world, "ledger", None)
+            energy = dict(ledger.energy if ledger else world.energy())
+            self._figures = {"energy": energy, "ledger": ledger, "momentum": world.momentum()}
+        return self._figures
 
     def _crossings(self) -> int | None:
         """How many edges go through triangles, where that is asked for or takes no more than its share."""

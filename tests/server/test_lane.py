@@ -1,6 +1,7 @@
 """A lane: commands are carried out between steps, in its own thread."""
 
 import itertools
+import math
 import threading
 import time
 
@@ -8,7 +9,7 @@ import msgspec
 import pytest
 from fake_world import SCENE, FakeWorld, StepError, wait_until
 
-from server.lane import SHARE, Advance, Ask, Change, Lane, Reset
+from server.lane import FIGURES_EVERY, SHARE, Advance, Ask, Change, Lane, Reset
 from sim import load_scene
 
 STILL = 1 / 60
@@ -130,6 +131,43 @@ def test_what_crosses_is_counted_where_that_is_asked_for_whatever_it_takes(start
     frames = [finish(lane, Advance(0.01, counted=True)) for _ in range(5)]
     assert [frame.crossings for frame in frames] == [1, 2, 3, 4, 5]
     assert finish(lane, Advance(0.0, counted=True)).crossings == 5
+
+
+class Weighed(FakeWorld):
+    """Counts how often it is asked for its energy."""
+
+    asked = 0
+
+    def energy(self):
+        self.asked += 1
+        return {"steps": float(self.steps)}
+
+
+def test_energies_are_computed_no_more_often_than_they_are_read_while_time_runs(start):
+    lane, begin = start(Weighed, dt=0.01), time.perf_counter()
+    frames = [finish(lane, Advance(0.01)) for _ in range(50)]
+    (world,) = FakeWorld.made
+    assert world.steps == 50
+    assert world.asked <= 1 + math.ceil((time.perf_counter() - begin) / FIGURES_EVERY)
+    assert all(frame.energy and frame.momentum is not None for frame in frames)
+    time.sleep(FIGURES_EVERY)
+    assert finish(lane, Advance(0.01)).energy == {"steps": 51.0}
+
+
+def test_energies_are_of_the_frame_itself_where_none_may_follow_it_or_a_setting_has_changed(start):
+    lane = start(Weighed, dt=0.01)
+    frames = [finish(lane, Advance(0.01, counted=True)) for _ in range(3)]
+    assert [frame.energy["steps"] for frame in frames] == [1.0, 2.0, 3.0]
+    (world,) = FakeWorld.made
+    asked = world.asked
+    finish(lane, Change({"gamma": 0.3}))
+    assert world.asked == asked + 1
+    finish(lane, Advance(0.01))
+    world.settings = msgspec.structs.replace(world.settings, density=200.0)
+    refused = finish(lane, Advance(0.01))
+    assert refused.refused
+    assert refused.energy == {"steps": 4.0}
+    assert finish(lane, Reset(lane.frame.settings)).energy == {"steps": 0.0}
 
 
 def test_reset_revives_and_starts_again(start):
