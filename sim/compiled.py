@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sim.cache import choose_cache
 
@@ -34,8 +34,11 @@ from numba.core.dispatcher import Dispatcher  # noqa: E402
 numba.config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR", "")  # pyright: ignore
 numba.config.SLP_VECTORIZE = int(os.environ["NUMBA_SLP_VECTORIZE"])  # pyright: ignore
 
-inner = numba.njit(cache=True, error_model="numpy")
-unordered = numba.njit(cache=True, error_model="numpy", fastmath={"reassoc"})
+OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Of every kernel; wrappers for calls from C take time to compile, and nobody calls them."""
+
+inner = numba.njit(**OPTIONS)
+unordered = numba.njit(fastmath={"reassoc"}, **OPTIONS)
 
 KERNELS: list[Dispatcher] = []
 """Every kernel of the modules imported so far, for those who want to watch them compile."""
@@ -43,7 +46,7 @@ KERNELS: list[Dispatcher] = []
 
 def kernel(function: Callable) -> Dispatcher:
     """Compile `function` for calls from Python."""
-    return _listed(numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    return _listed(numba.njit(nogil=True, **OPTIONS)(function))
 
 
 def parallel_kernel(function: Callable) -> Dispatcher:
@@ -53,7 +56,7 @@ def parallel_kernel(function: Callable) -> Dispatcher:
     Inside a `prange`, Numba 0.68 loses what `tuple.array[i] = value` writes, and a call for every single
     item would hand over all arrays of the tuple every time.
     """
-    return _listed(numba.njit(nogil=True, cache=True, error_model="numpy", parallel=True)(function))
+    return _listed(numba.njit(nogil=True, parallel=True, **OPTIONS)(function))
 
 
 def _listed(dispatcher: Dispatcher) -> Dispatcher:

@@ -9,6 +9,7 @@ one compiles what finds and answers contacts; then it reads the other's from the
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import os
 import subprocess
@@ -101,6 +102,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     alone = {**small, "obstacle": [], "settings": {**settings, "contact": "none"}}
     shared = s.contact != "none"  # else both would compile the same
     with (
+        _rarely_collected(),
         _second_process(alone, shared) as wake,
         event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress, wake)),
     ):
@@ -131,6 +133,17 @@ def _touch(world: Simulation) -> None:
 
 
 @contextlib.contextmanager
+def _rarely_collected() -> Iterator[None]:
+    """Look for garbage a hundred times less often: compilers make many objects, of which few are garbage."""
+    usual = gc.get_threshold()
+    gc.set_threshold(100 * usual[0], *usual[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
+
+
+@contextlib.contextmanager
 def _second_process(scene: dict[str, Any], wanted: bool) -> Iterator[Callable[[], None]]:
     """Gives what starts, once, a process that makes a step of `scene`, which fills the cache; ended at last.
 
@@ -141,7 +154,10 @@ def _second_process(scene: dict[str, Any], wanted: bool) -> Iterator[Callable[[]
 
     def start() -> None:
         if wanted and not processes and (os.cpu_count() or 1) > 1:
-            made = "import sys, msgspec, sim; sim.Simulation(msgspec.json.decode(sys.stdin.read())).step()"
+            made = (
+                "import gc, sys, msgspec, sim; gc.disable();"
+                " sim.Simulation(msgspec.json.decode(sys.stdin.read())).step()"
+            )
             process = subprocess.Popen(
                 [sys.executable, "-c", made],
                 stdin=subprocess.PIPE,
