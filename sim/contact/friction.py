@@ -9,7 +9,7 @@ still allows, and impulses given after it bring friction of their own.
 
 import numpy as np
 
-from sim.compiled import Vec3, add, dot, inner, kernel, norm, row, scale, sub
+from sim.compiled import Vec3, add, dot, inner, kernel, norm, put, row, scale, sub
 
 CREEP = 1e-4
 """Smallest slip [m/s] that a drag is estimated with."""
@@ -35,25 +35,32 @@ def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes,
     Returns the worst excess, and the part of what the cones allow that sliding contacts were not given.
 
     The slip expected is that of the solve, or more where a whole piece is about to break away: the piece then
-    gains what friction held it by beyond the cones, over its mass.
+    gains what friction held it by beyond the cones, less what all its other contacts can yet hold, over its
+    mass. While those have more to spare than is held beyond the cones, it breaks away nowhere.
     """
     worst, lacking, allowed = 0.0, 0.0, 1e-300
     gain = np.zeros((len(piece_masses), 3))
+    excess, spare = np.zeros(len(piece_masses)), np.zeros(len(piece_masses))
     for c in range(len(drag)):
         slip = slip_of(contacts, velocities, c)
         found = norm(slip)
-        held = h * held_drag[c] * found
+        beyond = h * held_drag[c] * found - friction * pushes[c]
         allowed += friction * pushes[c]
         if found > CREEP:
-            lacking += max(friction * pushes[c] - held, 0.0)
-        if held > friction * pushes[c] or found > CREEP:
-            worst = max(worst, held / max(friction * pushes[c], 1e-300))
-            for a in range(4):
-                piece = pieces[contacts.node[c, a]]
-                part = contacts.weight[c, a] / (found * piece_masses[piece])
-                gain[piece, 0] += part * (held - friction * pushes[c]) * slip.x
-                gain[piece, 1] += part * (held - friction * pushes[c]) * slip.y
-                gain[piece, 2] += part * (held - friction * pushes[c]) * slip.z
+            lacking += max(-beyond, 0.0)
+        if beyond > 0.0 or found > CREEP:
+            worst = max(worst, 1.0 + beyond / max(friction * pushes[c], 1e-300))
+        for a in range(4):
+            piece, weight = pieces[contacts.node[c, a]], contacts.weight[c, a]
+            if beyond > 0.0:
+                part = weight * beyond / (found * piece_masses[piece])
+                put(gain, piece, add(row(gain, piece), scale(part, slip)))
+                excess[piece] += abs(weight) * beyond
+            else:
+                spare[piece] -= abs(weight) * beyond
+    for p in range(len(piece_masses)):
+        part = max(1.0 - spare[p] / max(excess[p], 1e-300), 0.0)
+        put(gain, p, scale(part, row(gain, p)))
     for c in range(len(drag)):
         slip = slip_of(contacts, velocities, c)
         ahead = slip

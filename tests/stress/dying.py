@@ -1,4 +1,4 @@
-"""A task for other processes, which import this and little else."""
+"""Tasks for other processes, which import this and little else."""
 
 import os
 
@@ -10,3 +10,12 @@ def die_of(task):
     from sim.stress.probe import Outcome
 
     return Outcome(task, trouble="fine")
+
+
+def hold_to_nothing(task):
+    """Run a task with no motion allowed at rest, which no cloth keeps to."""
+    from sim.stress import contact
+    from sim.stress.probe import run_task
+
+    contact.STILL = 0.0
+    return run_task(task)

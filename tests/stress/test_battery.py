@@ -24,7 +24,7 @@ from sim.stress.scenes import crumple
 from sim.stress.sweep import levels, move, rows
 from sim.stress.verdict import Verdict
 from sim.stress.worlds import ball, grid, scene
-from tests.stress.dying import die_of
+from tests.stress.dying import die_of, hold_to_nothing
 
 QUICK = "N8"
 """A case that takes hardly any time."""
@@ -331,7 +331,8 @@ def test_a_cluster_that_is_not_there_is_refused_in_one_line(monkeypatch, capsys)
 # The command
 
 
-def test_the_command_prints_writes_and_fails_with_a_case(tmp_path, capsys):
+def test_the_command_prints_writes_and_fails_with_a_case(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("sim.stress.executor.run_here", hold_to_nothing)
     numbers, page, kept = tmp_path / "x.json", tmp_path / "x.html", tmp_path / "kept"
     files = ["--json", str(numbers), "--html", str(page), "--keep", str(kept)]
     assert main(["stress", "--case", QUICK, "C8-at-rest", "--runs", "1", "--jobs", "1", *files]) == 1

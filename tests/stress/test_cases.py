@@ -9,21 +9,12 @@ from sim.stress.probe import run_task
 FAST = 1.3
 """A case that takes longer [s] is left to `muslin stress`."""
 
-KNOWN = {
-    "C8-at-rest": "a linearised step is too soft across folds: a hem vertex trembles for ever",
-}
-"""What fails, and why; each is expected to, so that who mends it finds out."""
-
 
 def fast():
-    for name, case in cases().items():
-        if (case.seconds <= FAST or name in KNOWN) and case.theme != "sweep":
-            reason = KNOWN.get(name)
-            marks = [pytest.mark.xfail(strict=True, reason=reason)] if reason else []
-            yield pytest.param(name, marks=marks)
+    return [name for name, case in cases().items() if case.seconds <= FAST and case.theme != "sweep"]
 
 
-@pytest.mark.parametrize("name", list(fast()))
+@pytest.mark.parametrize("name", fast())
 def test_a_hard_case_is_within_its_marks(name):
     outcome = run_task(Task(name, 0))
     assert not outcome.trouble
