@@ -204,7 +204,7 @@ PULLED = pytest.mark.xfail(
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5, 1e-7])
 @pytest.mark.parametrize("newton", [1, pytest.param(2, marks=PULLED)])
 def test_cloth_on_a_ball_comes_to_rest(newton, tolerance):
-    """No piece breaks away that some of it holds: its vertices would slide, and be put back, at every turn."""
+    """No piece breaks away that some of it holds: vertices would slide, and be put back, at every turn."""
     sheet = grid((0.4, 0.4), (12, 12), position=[0, 0, 0.31])
     how = {"friction": 0.6, "newton": newton, "tolerance": tolerance}
     world, fastest = sim.Simulation(scene(sheet, ball(), gravity=[0, 0, -G], **how)), 0.0
