@@ -55,10 +55,10 @@ SHOT = {"bullet": 18.0}
 """Scenes with an obstacle that is faster than that, and how fast it makes the cloth [m/s]."""
 
 
-UNBOOKED = 2e-3
+UNBOOKED = 4e-3
 """Part of all energy that went from one kind to another which the ledger may not know of.
 
-It is what the solver's tolerance leaves of the equation of motion: 7e-4 at worst, in spin."""
+It is what the solver's tolerance leaves of the motion's equation: 2.8e-3 at worst, in response by penalty."""
 
 
 @pytest.mark.parametrize(("scene", "settings"), list(variants()))
@@ -75,6 +75,17 @@ def test_the_first_two_seconds_of_every_variant_are_calm(scene, settings):
     ledger = world.ledger
     assert abs(ledger.residual) <= UNBOOKED * ledger.turnover
     assert np.abs(strains(world)).max() < RUBBER.get(scene, LARGEST_STRAIN)
+
+
+@pytest.mark.parametrize(
+    ("scene", "settings"), [("flag", {"drag": 0.0}), ("response", {"contact": "penalty"})]
+)
+def test_what_the_ledger_does_not_know_of_goes_with_the_tolerance(scene, settings):
+    world = sim.Simulation(scene, **settings, tolerance=1e-6)
+    world.keep_ledger()
+    while world.time < 2.0:
+        world.step()
+    assert abs(world.ledger.residual) <= 1e-2 * UNBOOKED * world.ledger.turnover  # as of the usual tolerance
 
 
 # Drape
