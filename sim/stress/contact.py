@@ -807,7 +807,7 @@ def bits(probe: Probe) -> Iterator[Figure]:
         yield at_most(f"numbers that differ on two threads, {name}", threaded, 0.0)
 
 
-@case("C8-at-rest", "a sheet laid on a plane and one on a ball do not jitter", seconds=2.5)
+@case("C8-at-rest", "a sheet laid on a plane and one on a ball do not jitter", seconds=2.0)
 def at_rest(probe: Probe) -> Iterator[Figure]:
     """What has come to rest stays there: no vertex moves from a second to the next."""
     flat = grid((0.5, 0.5), (10, 10), position=[0, 0, 0.02])

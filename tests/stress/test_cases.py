@@ -6,7 +6,7 @@ from sim.stress import Task, cases, sweep
 from sim.stress.contact import blind_to_edges
 from sim.stress.probe import run_task
 
-FAST = 1.3
+FAST = 2.0
 """A case that takes longer [s] is left to `muslin stress`."""
 
 
