@@ -1,9 +1,10 @@
 """How kernels are compiled, and small vectors for them.
 
 `kernel` is for what is called from Python: it releases the GIL and is cached on disk. `inner` is for
-helpers. Kernels take arrays or NamedTuples of arrays and have no globals and no I/O; float64 throughout, no
-fast-math, so that a result does not depend on how the compiler reorders a sum. `unordered` is the exception,
-for long sums inside preconditioners: the compiler may add them up several terms at a time.
+helpers, which are compiled with the kernels that call them; where Python calls one, Python interprets it.
+Kernels take arrays or NamedTuples of arrays and have no globals and no I/O; float64 throughout, no fast-math,
+so that a result does not depend on how the compiler reorders a sum. `unordered` is the exception, for long
+sums inside preconditioners: the compiler may add them up several terms at a time.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ os.environ.setdefault("NUMBA_SLP_VECTORIZE", "1")
 import numba  # noqa: E402
 import numpy as np  # noqa: E402
 from numba.core.dispatcher import Dispatcher  # noqa: E402
+from numba.extending import register_jitable  # noqa: E402
 
 # Who imported numba before this module had it read these before they were chosen.
 numba.config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR", "")  # pyright: ignore
@@ -37,8 +39,9 @@ numba.config.SLP_VECTORIZE = int(os.environ["NUMBA_SLP_VECTORIZE"])  # pyright: 
 OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Of every kernel; wrappers for calls from C take time to compile, and nobody calls them."""
 
-inner = numba.njit(**OPTIONS)
-unordered = numba.njit(fastmath={"reassoc"}, **OPTIONS)
+# No wrappers for calls from Python either: they would take a tenth of the time of a cold start.
+inner = register_jitable(no_cpython_wrapper=True, **OPTIONS)
+unordered = register_jitable(no_cpython_wrapper=True, fastmath={"reassoc"}, **OPTIONS)
 
 KERNELS: list[Dispatcher] = []
 """Every kernel of the modules imported so far, for those who want to watch them compile."""

@@ -6,9 +6,11 @@ import pytest
 from sim.compiled import Vec3
 from sim.contact.closest import edge_edge, separation, vertex_triangle
 from tests.exact import rational, squared_distance
+from tests.jit import compiled
 
 ROUNDED = 2e-15  # of the size: some ulp of what is subtracted
-FUNCTIONS = {"vertex-triangle": (vertex_triangle, 1), "edge-edge": (edge_edge, 2)}
+FUNCTIONS = {"vertex-triangle": (compiled(vertex_triangle), 1), "edge-edge": (compiled(edge_edge), 2)}
+SEPARATION = compiled(separation)
 
 
 def random(rng):
@@ -53,7 +55,7 @@ FAMILIES = (random, lattice, near_lattice, needle, sliver, parallel, collinear)
 def found(kind, x):
     points = [Vec3(*map(float, p)) for p in x]
     w = FUNCTIONS[kind][0](*points)
-    return np.array(w), np.array(separation(w, *points))
+    return np.array(w), np.array(SEPARATION(w, *points))
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda f: f.__name__)

@@ -11,6 +11,7 @@ from sim.contact.detect import detect
 from sim.contact.obstacles import Obstacles, shape_of, signed_distance
 from sim.stress.contact import MU, SPEED, drift_on_incline, sliding_error, stopping_distance, stopping_error
 from sim.stress.probe import Probe
+from tests.jit import compiled
 from tests.worlds import ball, chain, grid, scene
 
 G = 9.81
@@ -22,6 +23,11 @@ SHAPES = {
 }
 
 
+@compiled
+def DISTANCE(shapes, point):
+    return signed_distance(shape_of(shapes, 0), point)
+
+
 def obstacles_of(*parts):
     return Obstacles(sim.load_scene(scene(grid(), *parts)))
 
@@ -30,7 +36,7 @@ def distance(obstacles, point, time=0.0):
     """Signed distance of a world point to the only obstacle, and its direction in the world."""
     poses = obstacles.poses(time)
     local = poses.rotation[0].T @ (np.asarray(point) - poses.position[0])
-    value, n = signed_distance(shape_of(obstacles.shapes, 0), Vec3(*local))
+    value, n = DISTANCE(obstacles.shapes, Vec3(*local))
     return value, poses.rotation[0] @ np.array(n)
 
 

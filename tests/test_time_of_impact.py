@@ -11,8 +11,10 @@ import sim
 from sim.compiled import Vec3
 from sim.contact.impact import EDGE_EDGE, NEAR, ROUNDING, VERTEX_TRIANGLE, impact
 from tests.exact import distance_at, surely_apart
+from tests.jit import compiled
 
 SAMPLE = Path(__file__).resolve().parents[2] / "shared" / "ccd" / "sample.npz"
+IMPACT = compiled(impact)
 KINDS = {"vertex-triangle": VERTEX_TRIANGLE, "edge-edge": EDGE_EDGE}
 TOUCHING = (
     1.5 * NEAR * ROUNDING
@@ -296,7 +298,7 @@ def test_normal_and_weights_are_those_of_the_contact(kind):
     gap = 1e-6
     x, _ = at_rational_times(np.random.default_rng(5), kind, 200)
     for pair in x:
-        t, n, w = impact(KINDS[kind], *(Vec3(*p) for p in pair), gap, 64)
+        t, n, w = IMPACT(KINDS[kind], *(Vec3(*p) for p in pair), gap, 64)
         r = np.array(w) @ ((1 - t) * pair[:4] + t * pair[4:])
         assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-15)
         if t > 0.0:
@@ -309,7 +311,7 @@ def test_nothing_is_missed_with_a_gap_either():
     gap = 1e-3
     for kind, number in KINDS.items():
         for pair in queries(general, kind, 100, seed=6):
-            t, _, _ = impact(number, *(Vec3(*p) for p in pair), gap, 64)
+            t, _, _ = IMPACT(number, *(Vec3(*p) for p in pair), gap, 64)
             samples = np.linspace(0.0, min(t, 1.0), 20)
             distances = [distance_at(kind, pair, s) for s in samples]
             assert min(distances) >= min(gap, distances[0]) * (1 - 1e-9)
