@@ -103,20 +103,25 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
     shared = s.contact != "none"  # else both would compile the same
     with (
         _rarely_collected(),
-        _second_process(alone, shared) as wake,
+        _second_process(alone, one_sheet, shared) as wake,
         event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress, wake)),
     ):
         world = Simulation(small)
         _touch(world)
-        if one_sheet:
-            corners = np.arange(4, dtype=np.int32)
-            outspread.clearance(corners[None, :3], corners, np.eye(4, 3), np.eye(4, 3), 0.0)
-        world.keep_ledger()  # which has kernels of its own, and calls some that a linearised step does not
-        world.step()
+        _solve(world, one_sheet)
         if exact:
             world.model.linearise(world.positions.copy(), world.velocities.copy(), NO_GAP_SPRINGS, 0.01, True)
     if progress is not None:
         progress(1, 1, "ready")
+
+
+def _solve(world: Simulation, one_sheet: bool) -> None:
+    """Make a step, and what comes with it but takes no contacts."""
+    if one_sheet:
+        corners = np.arange(4, dtype=np.int32)
+        outspread.clearance(corners[None, :3], corners, np.eye(4, 3), np.eye(4, 3), 0.0)
+    world.keep_ledger()  # which has kernels of its own, and calls some that a linearised step does not
+    world.step()
 
 
 def _touch(world: Simulation) -> None:
@@ -143,9 +148,16 @@ def _rarely_collected() -> Iterator[None]:
         gc.set_threshold(*usual)
 
 
+def solve_alone() -> None:
+    """What the second process does: `_solve` the scene without contacts that it is handed."""
+    gc.disable()
+    scene, one_sheet = msgspec.json.decode(sys.stdin.read())
+    _solve(Simulation(scene), one_sheet)
+
+
 @contextlib.contextmanager
-def _second_process(scene: dict[str, Any], wanted: bool) -> Iterator[Callable[[], None]]:
-    """Gives what starts, once, a process that makes a step of `scene`, which fills the cache; ended at last.
+def _second_process(scene: dict[str, Any], one_sheet: bool, wanted: bool) -> Iterator[Callable[[], None]]:
+    """Gives what starts, once, a process that will `solve_alone`, which fills the cache; ended at last.
 
     It starts none where none is `wanted`, or there is one core. What both compile at the same time is
     compiled twice and kept once, by whoever is later.
@@ -154,12 +166,8 @@ def _second_process(scene: dict[str, Any], wanted: bool) -> Iterator[Callable[[]
 
     def start() -> None:
         if wanted and not processes and (os.cpu_count() or 1) > 1:
-            made = (
-                "import gc, sys, msgspec, sim; gc.disable();"
-                " sim.Simulation(msgspec.json.decode(sys.stdin.read())).step()"
-            )
             process = subprocess.Popen(
-                [sys.executable, "-c", made],
+                [sys.executable, "-c", "from sim.warmup import solve_alone; solve_alone()"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -167,7 +175,7 @@ def _second_process(scene: dict[str, Any], wanted: bool) -> Iterator[Callable[[]
             processes.append(process)
             assert process.stdin is not None
             with contextlib.suppress(OSError), process.stdin as to:
-                to.write(msgspec.json.encode(scene))
+                to.write(msgspec.json.encode([scene, one_sheet]))
 
     try:
         yield start

@@ -213,12 +213,18 @@ def fit(faces, begin, end, skip, way, room, boxes, hulls):
             boxes[f, r + 6], boxes[f, r + 9] = min(a, b, c) - 0.5 * room, max(a, b, c) + 0.5 * room
     for node in range(len(begin) - 1, -1, -1):
         if skip[node] == node + 1:
-            hulls[node] = boxes[begin[node]]
+            _copy(hulls, node, boxes, begin[node])
             for f in range(begin[node] + 1, end[node]):
                 _widen(hulls, node, boxes, f)
         else:
-            hulls[node] = hulls[node + 1]
+            _copy(hulls, node, hulls, node + 1)
             _widen(hulls, node, hulls, skip[node + 1])
+
+
+@inner
+def _copy(boxes, node, others, other):
+    for r in range(12):  # number by number: what Numba has for rows takes a second and a half to compile
+        boxes[node, r] = others[other, r]
 
 
 @inner
@@ -250,7 +256,8 @@ def _find(surface, tree, roles, way, room, boxes, hulls, pairs, distance, counts
 
     Leaves are dealt like cards, as those early in the order have more to compare themselves with.
     """
-    for chunk in numba.prange(CHUNKS):
+    for part in numba.prange(CHUNKS):
+        chunk = np.int64(part)  # as it is unsigned in threads alone, helpers would be compiled twice
         found = pairs[chunk], distance[chunk]
         count = _query_leaves(surface, tree, roles, way, room, boxes, hulls, *found, chunk, most)
         counts[chunk] = _near_pairs(surface, roles, way, room, *found, chunk, count)

@@ -173,7 +173,12 @@ def _complementary(matrix, b, p):
             if wrong[k]:
                 count, last = count + 1, k
         if count == 0:  # unless it is no way out, but made so by what is added to the diagonal
-            return DEPENDENT * np.max(np.diag(matrix) * p) < FEASIBLE * np.max(np.abs(b))
+            largest = 0.0
+            for k in range(size):
+                largest = max(largest, abs(b[k]))
+            for k in range(size):
+                wrong[k] = not DEPENDENT * (matrix[k, k] * p[k]) < FEASIBLE * largest
+            return not wrong.any()
         if count < fewest:
             fewest, chances = count, CHANCES
         elif chances > 0:
