@@ -167,6 +167,8 @@ class Page:
     def wait_for(self, what: str, share: float = 0.0) -> None:
         """Say what all variants wait for, and which share of it is done; an empty text ends the wait."""
         self._waiting = what
+        if not what:
+            self.stage.cast_shadows()
         self.panel.show_progress(share if what else None)
         self._read = 0.0
 

@@ -75,7 +75,8 @@ class Stage:
         self.show_mesh_lines = False
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map("apartment", environment_intensity=0.55)
-        server.scene.configure_default_lights(enabled=True, cast_shadow=True)
+        self._shadows = False
+        server.scene.configure_default_lights(enabled=True, cast_shadow=False)
 
     def set_up(self, scene: Scene, mesh: Mesh, names: list[str]) -> None:
         """Show the still of a scene: each variant's cloth where it starts."""
@@ -100,6 +101,12 @@ class Stage:
         first.fov = FIELD_OF_VIEW
         for client in self._server.get_clients().values():
             self.frame_view(client)
+
+    def cast_shadows(self) -> None:
+        """Have shadows from now on; before, a browser that draws in software would hold up compilers."""
+        if not self._shadows:
+            self._shadows = True
+            self._server.scene.configure_default_lights(enabled=True, cast_shadow=True)
 
     def _ground(self, root: str, floor: float) -> None:
         self._server.scene.add_grid(

@@ -30,6 +30,7 @@ from sim.report import StepReport
 from sim.scene import Scene, ShellArrays, ShellFile
 from sim.settings import Settings
 from sim.simulation import Simulation
+from sim.solve.cg import conjugate_gradients
 from sim.solve.implicit import FILTERED, Solution
 from sim.springs.build import kernel_of, kinds_in_force
 from sim.tangles import refuses
@@ -100,38 +101,41 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         return name != "project" and (felt or touches or not module.startswith("sim.contact"))
 
     alone = {**small, "obstacle": [], "settings": {**settings, "contact": "none"}}
-    shared = s.contact != "none"  # else both would compile the same
-    with (
-        _rarely_collected(),
-        _second_process(alone, one_sheet, shared) as wake,
-        event.install_listener("numba:compile", _Watch([k for k in KERNELS if needed(k)], progress, wake)),
-    ):
+    shared = s.contact != "none" and not conjugate_gradients.overloads  # else both would compile the same
+    second = _SecondProcess(alone, shared)
+    watch = _Watch([k for k in KERNELS if needed(k)], progress, second.start)
+    with _rarely_collected(), second, event.install_listener("numba:compile", watch):
         world = Simulation(small)
-        _touch(world)
-        _solve(world, one_sheet)
+        _touch(world, one_sheet)
+        second.wait()  # or this one would begin with the same
+        _solve(world)
         if exact:
             world.model.linearise(world.positions.copy(), world.velocities.copy(), NO_GAP_SPRINGS, 0.01, True)
     if progress is not None:
         progress(1, 1, "ready")
 
 
-def _solve(world: Simulation, one_sheet: bool) -> None:
-    """Make a step, and what comes with it but takes no contacts."""
-    if one_sheet:
-        corners = np.arange(4, dtype=np.int32)
-        outspread.clearance(corners[None, :3], corners, np.eye(4, 3), np.eye(4, 3), 0.0)
+def _solve(world: Simulation) -> None:
+    """Make a step, and keep its books."""
     world.keep_ledger()  # which has kernels of its own, and calls some that a linearised step does not
     world.step()
 
 
-def _touch(world: Simulation) -> None:
+def _touch(world: Simulation, one_sheet: bool) -> None:
     """Call what finds contacts and answers them, on the way that a step would take without springs."""
 
-    def fall(_: GapSprings, s: Settings, x: np.ndarray, v: np.ndarray, __: object) -> Solution:
+    def fall(felt: GapSprings, s: Settings, x: np.ndarray, v: np.ndarray, __: object) -> Solution:
         v = v + s.dt * np.asarray(s.gravity)
-        return Solution(x + s.dt * v, v, 0, 1, 0.0, True, "", "")
+        end, forces, model = x + s.dt * v, np.zeros_like(x), world.model
+        felt.linearise(x, v, s.dt, model.matrix, forces)
+        felt.settle(v, end, v, model, s.friction, s.dt, forces)
+        felt.shares(end, v)
+        return Solution(end, v, 0, 1, 0.0, True)
 
     s = world.settings
+    if one_sheet:
+        corners = np.arange(4, dtype=np.int32)
+        outspread.clearance(corners[None, :3], corners, np.eye(4, 3), np.eye(4, 3), 0.0)
     if s.contact != "none":
         world.contact.through(s, 0.0, world.positions.copy(), world.velocities.copy(), fall, StepReport())
         world.contact.forget()
@@ -151,38 +155,42 @@ def _rarely_collected() -> Iterator[None]:
 def solve_alone() -> None:
     """What the second process does: `_solve` the scene without contacts that it is handed."""
     gc.disable()
-    scene, one_sheet = msgspec.json.decode(sys.stdin.read())
-    _solve(Simulation(scene), one_sheet)
+    _solve(Simulation(msgspec.json.decode(sys.stdin.read())))
 
 
-@contextlib.contextmanager
-def _second_process(scene: dict[str, Any], one_sheet: bool, wanted: bool) -> Iterator[Callable[[], None]]:
-    """Gives what starts, once, a process that will `solve_alone`, which fills the cache; ended at last.
+class _SecondProcess(contextlib.AbstractContextManager):
+    """A process that will `solve_alone`, which fills the cache; ended, if need be, with the context.
 
-    It starts none where none is `wanted`, or there is one core. What both compile at the same time is
-    compiled twice and kept once, by whoever is later.
+    There is none where none is `wanted`, or there is one core. What both compile at the same time is compiled twice and kept once, by whoever is later.
     """
-    processes: list[subprocess.Popen] = []
 
-    def start() -> None:
-        if wanted and not processes and (os.cpu_count() or 1) > 1:
-            process = subprocess.Popen(
+    def __init__(self, scene: dict[str, Any], wanted: bool):
+        self._scene = msgspec.json.encode(scene)
+        self._wanted = wanted and (os.cpu_count() or 1) > 1
+        self._process: subprocess.Popen | None = None
+
+    def start(self) -> None:
+        """Start it, the first time."""
+        if self._wanted and self._process is None:
+            self._process = subprocess.Popen(
                 [sys.executable, "-c", "from sim.warmup import solve_alone; solve_alone()"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
-            processes.append(process)
-            assert process.stdin is not None
-            with contextlib.suppress(OSError), process.stdin as to:
-                to.write(msgspec.json.encode([scene, one_sheet]))
+            assert self._process.stdin is not None
+            with contextlib.suppress(OSError), self._process.stdin as to:
+                to.write(self._scene)
 
-    try:
-        yield start
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
+    def wait(self) -> None:
+        """Wait until it is done, or has failed, if it was started."""
+        if self._process is not None:
+            self._process.wait()
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
 
 
 class _Watch(event.Listener):
