@@ -161,7 +161,8 @@ def solve_alone() -> None:
 class _SecondProcess(contextlib.AbstractContextManager):
     """A process that will `solve_alone`, which fills the cache; ended, if need be, with the context.
 
-    There is none where none is `wanted`, or there is one core. What both compile at the same time is compiled twice and kept once, by whoever is later.
+    There is none where none is `wanted`, or there is one core. What both compile at the same time is compiled
+    twice and kept once, by whoever is later.
     """
 
     def __init__(self, scene: dict[str, Any], wanted: bool):
