@@ -474,16 +474,16 @@ def test_auto_sees_what_just_meets_and_what_just_does_not(what, part):
 
 def test_a_bound_that_is_too_bold_would_be_noticed(monkeypatch):
     """Bounds that a step may break are the mistake that these tests are there to find."""
+    import sim.contact.detectors
     import sim.contact.pairs
-    import sim.contact.pipeline
 
     sound = sim.contact.pairs.strayed
     monkeypatch.setattr(sim.contact.pairs, "strayed", lambda a, b: 0.1 * sound(a, b))
     with pytest.raises(AssertionError):
         approach(4.0)
     monkeypatch.undo()
-    reach = sim.contact.pipeline.within_reach
-    monkeypatch.setattr(sim.contact.pipeline, "within_reach", lambda *a: reach(*a[:-1], -0.05))
+    reach = sim.contact.detectors.within_reach
+    monkeypatch.setattr(sim.contact.detectors, "within_reach", lambda *a: reach(*a[:-1], -0.05))
     with pytest.raises(AssertionError):
         approach(4.0, *BELOW["a ball"])
 

@@ -161,4 +161,4 @@ def test_a_step_that_asks_too_much_is_brought_to_its_end(monkeypatch):
     world = started(204)
     x = world.positions.copy()
     check(world, world.step(), x, 0.0)
-    assert world.contact._pairs.asked > pairs.MANY * pairs.MOST_ASKED
+    assert world.contact._detectors.pairs.asked > pairs.MANY * pairs.MOST_ASKED
