@@ -166,6 +166,11 @@ def test_check_warns_of_cloth_that_starts_in_an_obstacle(tmp_path, small):
         (["run", "nowhere"], 1, "nowhere: cannot be read: No such file or directory"),
         (["run", "drape", "--seconds", "q"], 2, "run: Error parsing --seconds: could not convert"),
         (["run", "drape", "--seconds", "0"], 1, "--seconds: expected > 0 and ≤ 100000, got 0"),
+        *(
+            ([study, "drape", "--seconds", time], 1, f"--seconds: expected > 0 and ≤ 3600, got {time}")
+            for study in ("cost", "compare", "audit")
+            for time in ("nan", "inf", "1e+09")
+        ),
         (["run", "drape", "--seconds", "nan"], 1, "--seconds: expected > 0 and ≤ 100000, got nan"),
         (["run", "drape", "--fps", "-1"], 1, "--fps: expected > 0 and ≤ 1e+06, got -1"),
         (["run", "drape", "--set", "gamma=-1"], 1, "gamma: expected ≥ 0 and ≤ 1000, got -1"),
