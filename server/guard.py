@@ -15,6 +15,7 @@ Policy:
     Message  only values of controls, commands and pointer events of the 3-D view are handled; of somebody who
              only watches, none but his camera and the commands that act on his own page alone.
     Value    a control's value passes its check before viser sees it: clamped, or refused and shown as it was.
+    Camera   one that cannot be one is dropped.
     Pace     nobody is listened to faster than a hand can move. What comes faster waits in the sender's own
              computer, so that nothing is lost and nothing piles up here.
     Backlog  what is sent to a page that does not keep up is bounded, so that it skips frames and does not lag
@@ -41,6 +42,7 @@ from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import viser
 import websockets.asyncio.server
 from viser import _messages as messages
@@ -84,6 +86,9 @@ SETTLE = 0.8
 
 LOG_EVERY = 10.0
 """Seconds between two lines about clients' nonsense, which would fill a disk otherwise."""
+
+NEAREST, FARTHEST = 1e-6, 1e6
+"""Of what a camera looks at [m], and of all that it has: between them, rounding leaves it a direction."""
 
 PROJECTOR = "/projector"
 """Path of the page in projector mode."""
@@ -141,6 +146,8 @@ def open_server(host: str, port: int, access: Access | None = None) -> tuple[vis
     door = Door(access or Access(), roles)
     # A client may leave between being asked after and being sent its camera; nobody needs to hear of it.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
+    # Of each value of a wrong type that a client sends, which would be printed, and kept, for ever.
+    warnings.filterwarnings("ignore", r"(?s)\[viser\] .* does not match annotation", UserWarning)
     with _construction, _behind(door), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="Muslin", verbose=False)
     return server, Guard(server, roles)
@@ -292,6 +299,44 @@ def _keep_only(wire: Any, kinds: set[type]) -> None:
         del wire._incoming_handlers[kind]
 
 
+def _admit(client: Any) -> None:
+    """Have viser hear of a client's own messages alone, and of its camera where that can be one."""
+    _keep_only(client, HANDLED | OWN)
+    cameras = client._incoming_handlers.get(messages.ViewerCameraMessage, [])
+    cameras[:] = [_of_cameras(handler) for handler in cameras]
+
+
+def _of_cameras(handler: Callable) -> Callable:
+    """The same, but called of cameras only that look from one place to another.
+
+    Viser keeps others as they are and raises when one of them is moved, which would end whatever moves the
+    cameras of all.
+    """
+
+    async def checked(client_id: Any, message: messages.ViewerCameraMessage) -> None:
+        if _looks(message):
+            await handler(client_id, message)
+        else:
+            _report("a camera that cannot be one")
+
+    return checked
+
+
+def _looks(camera: messages.ViewerCameraMessage) -> bool:
+    """Whether a camera has a place, a direction and a way up, within FARTHEST."""
+    try:
+        pose = np.array([camera.position, camera.look_at, camera.up_direction], dtype=float)
+        wxyz = np.array(camera.wxyz, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    if pose.shape != (3, 3) or wxyz.shape != (4,) or not np.isfinite(wxyz).all():
+        return False
+    if not (np.abs(pose) <= FARTHEST).all():  # also where it is no number
+        return False
+    position, look_at, up = pose
+    return bool(np.linalg.norm(look_at - position) > NEAREST and np.linalg.norm(up) > NEAREST)
+
+
 class Guard:
     """Checks what clients send before viser acts on it.
 
@@ -315,7 +360,7 @@ class Guard:
         self._wire._incoming_handlers[messages.GuiUpdateMessage] = [self._update]  # type: ignore[list-item]
         self._viser_handle = self._wire._handle_incoming_message
         self._wire._handle_incoming_message = self._handle  # type: ignore[method-assign]
-        self._wire.on_client_connect(lambda client: _keep_only(client, HANDLED | OWN))
+        self._wire.on_client_connect(_admit)
         server.request_share_url = self._no_tunnel  # type: ignore[method-assign]
         loop = self._wire._background_event_loop
         assert loop is not None, "viser has started its loop by the time its server exists"

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRe
 from rich.table import Table
 
 import sim
+from server.commands.speech import complain
 from server.digits import share_text
 from sim.effects import cost
 from sim.export import Recording, check_outputs, check_size, save_json
@@ -89,6 +90,8 @@ def _simulate(
         from sim.simulation import Simulation
 
         world = Simulation(scene, **overrides)
+        for line in world.mesh.warnings + ((f"{scene.source}: {world.note}",) if world.note else ()):
+            complain(line)
         steps = max(1, math.ceil(seconds / world.settings.dt - 1e-6))
         if record:
             check_size(len(world.positions), 1 + min(steps, math.ceil(seconds * fps)))

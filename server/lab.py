@@ -339,6 +339,9 @@ class Lab:
         self._bench.clear(self._comparison.count)
         self._page.set_up(self._scene, self._mesh, self._comparison)
         self._wait_for("preparing")
+        if lines := self._mesh.warnings:
+            more = f"; and {len(lines) - 3:,} more: see muslin check" if len(lines) > 3 else ""
+            self.say("; ".join(lines[:3]) + more)
         self._compiler.start(self._scene, self._comparison)
 
     def _show_progress(self, done: int, total: int, name: str) -> None:

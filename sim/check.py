@@ -23,7 +23,7 @@ def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
         SceneError: for cloth that cannot be simulated, or starts across itself where that is refused.
     """
     mesh = build_mesh(scene)
-    prefix = f"{scene.name}: "
+    prefix = f"{scene.source}: "
     warnings = [w.removeprefix(prefix) for w in mesh.warnings]
     warnings += _part_warnings(mesh) + _sliver_warnings(mesh) + _thickness_warnings(mesh, scene.settings)
     return mesh, warnings + crossing_warnings(mesh, scene) + clearance_warnings(mesh, scene)

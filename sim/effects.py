@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import msgspec
 
+from sim.refusal import nearest, shown
 from sim.settings import Settings
 
 if TYPE_CHECKING:
@@ -173,7 +174,7 @@ def does(name: str) -> str:
 
 
 def _no_effect(name: str, known: Iterable[str]) -> str:
-    return f"{name}: no such effect; the effects are {', '.join(known)}"
+    return f"{name}: no such effect; {nearest(name, known)}"
 
 
 def check_obstacles(settings: Settings, labels: Sequence[str]) -> None:
@@ -206,7 +207,7 @@ def switch(name: str, choice: str, settings: Settings, wanted: Settings | None =
     """
     effect = find_effect(name)
     if choice not in CHOICES:
-        raise ValueError(f'{name}: expected one of "auto", "on", "off", got {choice!r}')
+        raise ValueError(f'{name}: expected one of "auto", "on", "off", got {shown(choice)}')
     if choice == "off":
         return effect.changed(effect.off, settings)
     if choice == "on" and effect.on:
@@ -237,10 +238,8 @@ def chosen(settings: Settings, choices: Mapping[str, str], known: Mapping[str, E
         changes, effect = switch(name, choice, settings), known[name]
         if choice == "on" and not effect.on and state(name, settings) == "off":
             ((setting, value),) = effect.off.items()
-            shown = list(value) if isinstance(value, tuple) else value
-            raise ValueError(
-                f'{name}: expected "auto" or "off" while settings.{setting} is {shown}, got "on"'
-            )
+            held = list(value) if isinstance(value, tuple) else value
+            raise ValueError(f'{name}: expected "auto" or "off" while settings.{setting} is {held}, got "on"')
         if choice != "auto":
             settings = msgspec.structs.replace(settings, **changes)
     return settings

@@ -12,6 +12,12 @@ from sim.scene import SceneError
 FARTHEST = 1e4
 """Coordinates beyond this [m] are refused: at that size a millimetre is lost in rounding."""
 
+SMALLEST = 1e-4
+"""Meshes smaller than this [m] are refused."""
+
+LIGHTEST, HEAVIEST = 1e-18, 1e18
+"""Masses [kg] beyond which squares and inverses are no numbers to reckon with."""
+
 
 def points(value: Any, where: str) -> np.ndarray:
     """(n, 3) float64 points [m], at least one."""
@@ -26,6 +32,28 @@ def points(value: Any, where: str) -> np.ndarray:
 def numbers(value: Any, width: int, where: str) -> np.ndarray:
     """Finite float64 numbers (n, width), or (n,) for a width of zero."""
     return _rows(value, width, where).astype(float)
+
+
+def masses(value: Any, n: int, where: str) -> np.ndarray:
+    """(n,) float64 masses [kg]."""
+    array = numbers(value, 0, where)
+    if len(array) != n:
+        raise SceneError(f"{where}: expected {n} masses, got {len(array)}")
+    wrong = ~((array >= LIGHTEST) & (array <= HEAVIEST))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        allowed = f"≥ {LIGHTEST:g} and ≤ {HEAVIEST:g} kg"
+        raise SceneError(f"{where}[{row}]: expected {allowed}, got {array[row]:g}")
+    return array
+
+
+def check_size(vertices: np.ndarray, where: str) -> None:
+    """Refuse a shape that is likely in other units: springs on it would be beyond all bounds.
+
+    All vertices in one place are a collapsed cloth, which is something else.
+    """
+    if 0.0 < (size := float(np.ptp(vertices, axis=0).max())) < SMALLEST:
+        raise SceneError(f"{where}: expected a size of at least {SMALLEST:g} m, got {size:g}")
 
 
 def indices(value: Any, width: int, n: int, where: str) -> np.ndarray:

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from sim import given
+from sim.refusal import shown
 from sim.repair import connected, repair_triangles
 from sim.rotation import rotation_matrix
 from sim.scene import MAX_VERTICES, Arrays, Equilateral, Grid, MeshFile, Scene, SceneError
@@ -272,19 +273,15 @@ def _arrays(cloth: Arrays, where: str):
     n = len(points)
     triangles = given.indices(cloth.triangles, 3, n, f"{where}.triangles")
     edges = given.indices(cloth.edges, 2, n, f"{where}.edges")
-    masses = None
-    if cloth.masses is not None:
-        masses = given.numbers(cloth.masses, 0, f"{where}.masses")
-        if len(masses) != n:
-            raise SceneError(f"{where}.masses: expected {n} masses, got {len(masses)}")
-        if not (masses > 0).all():
-            row = int(np.argmin(masses > 0))
-            raise SceneError(f"{where}.masses[{row}]: expected > 0 kg, got {masses[row]:g}")
+    masses = None if cloth.masses is None else given.masses(cloth.masses, n, f"{where}.masses")
     rest = None
     if cloth.rest_vertices is not None:
         rest = given.points(cloth.rest_vertices, f"{where}.rest_vertices")
         if len(rest) != n:
             raise SceneError(f"{where}.rest_vertices: expected {n} rows, got {len(rest)}")
+    if len(triangles) or len(edges):
+        named = (points, "vertices") if rest is None else (rest, "rest_vertices")
+        given.check_size(named[0], f"{where}.{named[1]}")
     return points, triangles, edges, masses, rest
 
 
@@ -294,10 +291,12 @@ def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: st
         if isinstance(pin, str):
             if pin not in names:
                 allowed = ", ".join(names) or "vertex indices only for this kind of cloth"
-                raise SceneError(f"{where}.pins[{k}]: expected one of {allowed}, got {pin!r}")
+                raise SceneError(f"{where}.pins[{k}]: expected one of {allowed}, got {shown(pin)}")
             found.append(names[pin])
         elif not 0 <= pin < n:
-            raise SceneError(f"{where}.pins[{k}]: expected a vertex index from 0 to {n - 1}, got {pin}")
+            raise SceneError(
+                f"{where}.pins[{k}]: expected a vertex index from 0 to {n - 1}, got {shown(pin)}"
+            )
         else:
             found.append(np.array([pin]))
     return np.concatenate(found)
@@ -332,6 +331,7 @@ def build_hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, 
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     hinges = np.stack([start[a], end[a], opposite[a], opposite[b]], axis=1).astype(np.int32)
     crowded, odd = int((count > 2).sum()), int((~against).sum())
-    warnings = [f"{crowded} edges belong to three or more triangles and do not bend"] if crowded else []
-    warnings += [f"{odd} edges join triangles wound against each other and do not bend"] if odd else []
+    belong, join = (f"{k:,} edge{'s' * (k > 1)}" for k in (crowded, odd))
+    warnings = [f"{belong} of three or more triangles: no bending there"] if crowded else []
+    warnings += [f"{join} of triangles wound against each other: no bending there"] if odd else []
     return hinges, tuple(warnings)

@@ -23,6 +23,9 @@ MAX_TRIANGLES = 2 * MAX_VERTICES
 MAX_ROWS = 2 * (MAX_VERTICES + MAX_TRIANGLES)
 """Vertices, faces and whatever else a file has: edges, say."""
 
+DIGITS = 20
+"""Of a number that a header claims; what has more is none."""
+
 HEADER_LINES, HEADER_LINE = 1000, 1000
 """Lines of a .ply before its rows, and bytes of one, beyond which it is none."""
 
@@ -170,8 +173,8 @@ def ply_header(data: bytes) -> tuple[str, list[Element], int]:
                     pass
                 case ["format", name, _] if name in ENCODINGS:
                     encoding = name
-                case ["element", name, count] if count.isdecimal() and name not in {e.name for e in elements}:
-                    elements.append(Element(name, int(count), []))
+                case ["element", name, count] if name not in {e.name for e in elements}:
+                    elements.append(Element(name, _claimed(count), []))
                 case ["property", "list", length, kind, name] if PLY_TYPES[length] not in "fd":
                     elements[-1].properties.append(Property(name, PLY_TYPES[kind], PLY_TYPES[length]))
                 case ["property", kind, name]:
@@ -184,6 +187,12 @@ def ply_header(data: bytes) -> tuple[str, list[Element], int]:
             shown = " ".join(words)[:60]
             raise ValueError(f"line {number}: expected a line of a PLY header, got {shown!r}") from None
     raise ValueError("expected ply at its start, and a PLY header that ends with end_header")
+
+
+def _claimed(count: str) -> int:
+    if not count.isdecimal() or len(count) > DIGITS:
+        raise ValueError
+    return int(count)
 
 
 def _line_end(data: bytes, at: int) -> int:
@@ -211,7 +220,8 @@ def _count_stl(data: bytes) -> tuple[None, int, int]:
 
 
 def _count_off(data: bytes) -> tuple[int, int, int]:
-    found = re.match(rb"\s*C?OFF\s+(?:#[^\n]*\n\s*)*+([0-9]+)[ \t]+([0-9]+)", data)
+    number = rb"([0-9]{1,%d})" % DIGITS
+    found = re.match(rb"\s*C?OFF\s+(?:#[^\n]*\n\s*)*+%b[ \t]+%b(?![0-9])" % (number, number), data)
     if not found:
         raise ValueError("expected OFF and the numbers of vertices and faces at its start")
     vertices, faces = int(found[1]), int(found[2])

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.given import FARTHEST
+from sim.given import FARTHEST, SMALLEST
 from sim.meshclaims import declared_counts, mesh_bytes, mesh_path
 from sim.meshparse import Arrays, parse
 from sim.repair import repair_triangles, used_vertices
-
-SMALLEST = 1e-4
-"""Meshes smaller than this [m] are refused."""
 
 HUGE = 100.0
 """Cloth larger than this [m] is possible, but most likely measured in millimetres."""
@@ -43,7 +40,9 @@ def read_mesh(file: str, folder: str, scale: float = 1.0) -> tuple[np.ndarray, n
         declared_counts(data, suffix)
         vertices, triangles = parse(data, suffix)
         _check_indices(vertices, triangles)
-        vertices = vertices * scale
+        with np.errstate(over="ignore"):  # what is too far away is refused below
+            vertices = vertices * scale
+        _check_reach(vertices, triangles)
         if suffix == ".stl":
             vertices, triangles = _welded(vertices, triangles)
         triangles, warnings = repair_triangles(vertices, triangles)
@@ -87,11 +86,17 @@ def _welded(vertices: np.ndarray, triangles: np.ndarray) -> Arrays:
     return places[order], number[which.ravel()][triangles]
 
 
+def _check_reach(vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Refuse what is so far away that no area could be told; vertices that no triangle uses are left out."""
+    farthest = np.abs(vertices[triangles]).max(axis=2, initial=0.0)
+    if (worst := float(farthest.max())) > FARTHEST:
+        vertex = int(triangles.ravel()[np.argmax(farthest)])
+        expected = f"vertex {vertex}: expected coordinates within ±{FARTHEST:g} m"
+        raise ValueError(f"{expected}, got {worst:g} ({MILLIMETRES})")
+
+
 def _size_warnings(vertices: np.ndarray) -> list[str]:
-    """Refuse sizes that cannot be meant; warn of one that is likely a matter of units."""
-    farthest = float(np.abs(vertices).max())
-    if farthest > FARTHEST:
-        raise ValueError(f"expected coordinates within ±{FARTHEST:g} m, got {farthest:g} ({MILLIMETRES})")
+    """Refuse a size that cannot be meant; warn of one that is likely a matter of units."""
     size = float(np.ptp(vertices, axis=0).max())
     if size < SMALLEST:
         raise ValueError(f"expected a size of at least {SMALLEST:g} m, got {size:g} (scale = 1000?)")

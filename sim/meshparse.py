@@ -289,6 +289,8 @@ def _binary_rows(data: bytes, at: int, elements: Sequence[Element], encoding: st
                     row.append(value)
             except struct.error:
                 raise ValueError(f"it ends at {element.name} {k:,} of {element.claimed:,}") from None
+            except ValueError as error:
+                raise ValueError(f"{element.name} {k}: {error}") from None
             yield element.name, k, row
     if rest := len(data[at:].strip()):
         raise ValueError(f"expected nothing after all that the header claims, got {rest:,} bytes")
@@ -302,8 +304,10 @@ def _reader(known: Property, order: str) -> Callable[[bytes, int], tuple[Any, in
 
     def read(data: bytes, at: int) -> tuple[Any, int]:
         (count,), at = length.unpack_from(data, at), at + length.size
+        if count < 0:
+            raise ValueError(f"{known.name}: expected a list of none or more, got {count}")
         end = at + count * one.size
-        if not at <= end <= len(data):
+        if end > len(data):
             raise struct.error
         return struct.unpack_from(f"{order}{count}{known.type}", data, at), end
 

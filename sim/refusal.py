@@ -10,10 +10,14 @@ import difflib
 import functools
 import json
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
 from msgspec import inspect
+
+SHOWN = 80
+"""Characters of a value that a message shows, however long it is."""
 
 _WORDS = {
     r"\barray": "an array",
@@ -38,15 +42,16 @@ def in_words(message: str, table: Any, root: type[msgspec.Struct]) -> str:
         return "expected keys that are strings"
     path = path.rstrip("`").lstrip(".")
     found, kind = _found(path, table, root)
-    got = f"got {_shown(found)}"
+    got = f"got {shown(found)}"
     field_name = re.search(r"field `([^`]*)`", text)
     if field_name and "unknown" in text:
         path = f"{path}.{field_name[1]}".lstrip(".")
-        return f"{path}: no such key; {_nearest(field_name[1], _keys(kind))}"
+        return f"{path}: no such key; {nearest(field_name[1], _keys(kind))}"
     if field_name:
-        keys = _shown(sorted(map(str, found or ())))
+        keys = shown(sorted(map(str, found or ())))
         return f"{path or 'scene'}: expected a key {field_name[1]!r}, got {keys}"
-    if (path.endswith("kind") and "Invalid value" in text) or "Invalid enum value" in text:
+    tag = path.endswith("kind") and isinstance(kind, inspect.UnionType)
+    if tag or "Invalid enum value" in text or isinstance(kind, inspect.LiteralType):
         return f"{path}: expected {_one_of(kind)}, {got}"
     if isinstance(kind, inspect.FloatType | inspect.IntType):
         return f"{path}: expected {_range(kind)}, {got}"
@@ -98,9 +103,10 @@ def _keys(kind: inspect.Type | None) -> list[str]:
     return [name for name in names if name not in ("folder", "source")]
 
 
-def _nearest(name: str, known: list[str]) -> str:
+def nearest(name: Any, known: Iterable[str]) -> str:
     """The likeliest of the `known` names for a mistyped one, or all of them."""
-    close = difflib.get_close_matches(name, known, n=2)
+    known = list(known)
+    close = difflib.get_close_matches(str(name), known, n=2)
     return f"did you mean {' or '.join(close)}?" if close else f"expected one of {', '.join(known)}"
 
 
@@ -124,6 +130,10 @@ def _range(kind: inspect.FloatType | inspect.IntType) -> str:
     return words or "a finite number"
 
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) < 80 else text[:77] + "…"
+def shown(value: Any) -> str:
+    """A value that was refused, as Python writes it, no longer than a line has room for."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes out no whole number of more than some thousands of digits
+        return "a number of thousands of digits"
+    return text if len(text) < SHOWN else text[: SHOWN - 3] + "…"

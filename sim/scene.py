@@ -8,6 +8,9 @@ seconds; a rotation is a rotation vector (axis times angle).
 from __future__ import annotations
 
 import math
+import os
+import re
+import sys
 import tomllib
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +20,7 @@ import msgspec
 from msgspec import Meta, field
 
 from sim.effects import check_obstacles, chosen, effects_with, obstacle_labels
-from sim.refusal import in_words
+from sim.refusal import in_words, nearest, shown
 from sim.settings import FIELDS, Settings, convert
 
 SCENES = Path(__file__).resolve().parent.parent / "static_scenes"
@@ -26,11 +29,23 @@ SCENES = Path(__file__).resolve().parent.parent / "static_scenes"
 MAX_VERTICES = 200_000
 """Larger cloth, or larger meshes of obstacles, are refused before anything is allocated for them."""
 
+MAX_NUMBERS = 6 * MAX_VERTICES
+"""In an array that a dict holds: three for each triangle of the most vertices."""
+
 MAX_PARTS = 1000
 """Pieces of cloth, and obstacles, beyond which a scene is refused."""
 
 MAX_BYTES = 1_000_000
 """Scene files larger than this are refused before they are read; meshes go into files of their own."""
+
+DEEPEST = 32
+"""Parts of a dotted key that are read; tomllib's time and memory grow with the square of their number."""
+
+DOTTED = re.compile(rb"""(?:\.[ \t]*+(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+){%d}""" % DEEPEST)
+"""What follows the first part of a key that has more."""
+
+TOO_DEEP = "expected tables and arrays within few others, got too many within each other"
+"""What is said where Python itself gives up."""
 
 LONGEST_LINE = 600
 """Characters of an error message, however long the value that it shows."""
@@ -55,7 +70,8 @@ class SceneError(ValueError):
 
     def __init__(self, message: str, setting: str = "") -> None:
         self.setting = setting
-        line = " ".join(message.splitlines())  # keys and names may hold line ends
+        line = " ".join(message.splitlines())  # keys and names may hold line ends, and what moves a cursor
+        line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in line)
         super().__init__(line if len(line) <= LONGEST_LINE else line[: LONGEST_LINE - 1] + "…")
 
 
@@ -288,7 +304,12 @@ def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
     if isinstance(source, Scene):
         return source
     if isinstance(source, dict):
-        return _checked({"folder": str(Path.cwd()), **_plain(source)}, "scene", "scene")
+        try:
+            return _checked({"folder": str(Path.cwd()), **_plain(source)}, "scene", "scene")
+        except RecursionError:
+            raise SceneError(f"scene: {TOO_DEEP}") from None
+    if not isinstance(source, str | os.PathLike):
+        raise SceneError(f"scene: expected a file, the name of a scene or a dict, got {shown(source)}")
     path, table = _toml(source)
     for key in {"folder", "source"} & table.keys():
         raise SceneError(f"{source}: {key}: no such key; mesh files are looked for beside the scene file")
@@ -297,6 +318,8 @@ def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
 
 def _plain(value: Any) -> Any:
     """`value` with NumPy scalars and arrays as numbers and lists."""
+    if (size := getattr(value, "size", 0)) > MAX_NUMBERS:
+        raise SceneError(f"scene: expected arrays of at most {MAX_NUMBERS:,} numbers, got {size:,}")
     if isinstance(value, dict):
         return {key: _plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
@@ -315,10 +338,22 @@ def _toml(where: str | Path) -> tuple[Path, dict[str, Any]]:
         raise SceneError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(data) > MAX_BYTES:
         raise SceneError(f"{where}: expected at most {MAX_BYTES // 10**6} MB, got more")
+    return path, _tables(data, where)
+
+
+def _tables(data: bytes, where: str | Path) -> dict[str, Any]:
+    if deep := DOTTED.search(data):
+        line = data.count(b"\n", 0, deep.start()) + 1
+        raise SceneError(f"{where}: line {line}: expected keys of at most {DEEPEST} parts, got more")
     try:
-        return path, tomllib.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"{where}: not TOML: {' '.join(str(error).split())}") from None
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+    except ValueError:  # what the conversion of numbers raises
+        reason = f"expected whole numbers of at most {sys.get_int_max_str_digits():,} digits, got more"
+    except RecursionError:
+        reason = TOO_DEEP
+    raise SceneError(f"{where}: not TOML: {reason}")
 
 
 def _checked(table: dict[str, Any], where: str, name: str) -> Scene:
@@ -359,14 +394,14 @@ def _names(obstacles: Any) -> list[str]:
 def _settings(table: Any, effects: Any, labels: list[str], where: str) -> Settings:
     """The settings of a scene whose obstacles have these labels, with its effects as it forces them."""
     if not isinstance(table, dict):
-        raise SceneError(f"{where}: settings: expected a table of settings, got {table!r}")
+        raise SceneError(f"{where}: settings: expected a table of settings, got {shown(table)}")
     try:
         settings = Settings(**{name: convert(name, value) for name, value in table.items()})
         check_obstacles(settings, labels)
     except ValueError as error:
         raise SceneError(f"{where}: settings.{error}") from None
     if not isinstance(effects, dict):
-        raise SceneError(f"{where}: effects: expected a table of effects, got {effects!r}")
+        raise SceneError(f"{where}: effects: expected a table of effects, got {shown(effects)}")
     try:
         return chosen(settings, effects, effects_with(labels))
     except ValueError as error:
@@ -378,7 +413,10 @@ def _problems(scene: Scene):
     for i, cloth in enumerate(scene.cloth):
         for k, pin in enumerate(cloth.pins):
             if isinstance(pin, int) and pin < 0:
-                yield f"cloth[{i}].pins[{k}]", f"expected a vertex index ≥ 0 or the name of a side, got {pin}"
+                yield (
+                    f"cloth[{i}].pins[{k}]",
+                    f"expected a vertex index ≥ 0 or the name of a side, got {shown(pin)}",
+                )
         if isinstance(cloth, Grid | Equilateral) and math.prod(cloth.resolution) > MAX_VERTICES:
             yield (
                 f"cloth[{i}].resolution",
@@ -396,7 +434,7 @@ def _problems(scene: Scene):
         if isinstance(obstacle, Plane) and math.hypot(*obstacle.normal) < 1e-9:
             yield f"obstacle[{i}].normal", f"expected a direction, got {list(obstacle.normal)}"
     if scene.compare.by not in FIELDS:
-        yield "compare.by", f"expected one of {', '.join(FIELDS)}, got {scene.compare.by!r}"
+        yield "compare.by", f"{shown(scene.compare.by)} is no setting; {nearest(scene.compare.by, FIELDS)}"
     if not 1 <= len(scene.compare.values) <= 4:
         yield "compare.values", f"expected 1 to 4 values, got {len(scene.compare.values)}"
     for i, value in enumerate(scene.compare.values):
@@ -406,4 +444,4 @@ def _problems(scene: Scene):
             yield f"compare.values[{i}]", str(error)
     for i, value in enumerate(scene.compare.fails):
         if value not in scene.compare.values:
-            yield f"compare.fails[{i}]", f"expected one of compare.values, got {value!r}"
+            yield f"compare.fails[{i}]", f"expected one of compare.values, got {shown(value)}"

@@ -17,6 +17,7 @@ import msgspec
 from msgspec import Meta
 
 from sim.integrators import INTEGRATORS
+from sim.refusal import nearest, shown
 from sim.springs import BENDING
 
 
@@ -596,7 +597,7 @@ class Field:
 
     def refusal(self, value: Any) -> str:
         """The line that says why `value` cannot be had."""
-        return f"{self.name}: expected {self.allowed}, got {value!r}"
+        return f"{self.name}: expected {self.allowed}, got {shown(value)}"
 
     def clamp(self, value: float) -> float:
         """The nearest allowed number; raises ValueError for what is not a finite number."""
@@ -648,7 +649,7 @@ def change(settings: Settings, **changes: Any) -> Settings:
 def convert(name: str, value: Any) -> Any:
     """`value` as setting `name` holds it; ValueError names the field, the value and what is allowed."""
     if name not in FIELDS:
-        raise ValueError(f"{name}: no such setting; the settings are {', '.join(FIELDS)}")
+        raise ValueError(f"{name}: no such setting; {nearest(name, FIELDS)}")
     value = _plain(value)
     if isinstance(value, list | tuple):
         value = [_plain(item) for item in value]
@@ -680,7 +681,7 @@ def parse(name: str, text: str) -> Any:
     parts = text.strip("()[] ").split(",") if several else [text]
     try:
         value = [quotient(part) if "/" in part else json.loads(part) for part in parts]
-    except (ValueError, ZeroDivisionError):
+    except (ValueError, ZeroDivisionError, RecursionError):
         value = []
     if len(value) != (3 if several else 1):
         raise ValueError(FIELDS[name].refusal(text))

@@ -92,4 +92,5 @@ def _from_arrays(part: ShellArrays, where: str) -> tuple[Shell, list[str]]:
     if len(triangles) == 0:
         raise SceneError(f"{where}.triangles: expected triangles, got none with an area")
     vertices, triangles, left_out = used_vertices(vertices, triangles)
+    given.check_size(vertices, f"{where}.vertices")
     return Shell(vertices, triangles.astype(np.int32)), warnings + left_out

@@ -269,11 +269,9 @@ class Simulation:
         Raises:
             ValueError: for arrays of another shape, or with numbers that are not finite.
         """
-        new = [np.array(positions, dtype=float)]
-        new.append(np.zeros_like(new[0]) if velocities is None else np.array(velocities, dtype=float))
-        for name, array in zip(("positions", "velocities"), new, strict=True):
-            if array.shape != self._positions.shape or not np.isfinite(array).all():
-                raise ValueError(f"{name}: expected finite numbers of shape {self._positions.shape}")
+        new = [self._given(positions, "positions")]
+        still = np.zeros_like(self._positions)
+        new.append(still if velocities is None else self._given(velocities, "velocities"))
         self._go_over(Ramp.done(self.settings))
         self._positions, self._velocities = new[0], self.model.confined(new[1])
         self._time = self._injected = 0.0
@@ -281,6 +279,17 @@ class Simulation:
         self.contact.forget()
         self.model.forget(self._positions)
         self.keep_ledger(self._books is not None)
+
+    def _given(self, value: Any, name: str) -> np.ndarray:
+        """A float64 copy of an array for all vertices (n, 3)."""
+        try:
+            array = np.array(value)
+        except ValueError:  # rows of different lengths
+            array = np.zeros(0)
+        good = array.shape == self._positions.shape and array.dtype.kind in "iuf"
+        if not good or not np.isfinite(array).all():
+            raise ValueError(f"{name}: expected finite numbers of shape {self._positions.shape}")
+        return array.astype(float)
 
     def stop(self) -> None:
         """Take all velocity off the cloth, and book it as a change of settings."""
@@ -306,7 +315,13 @@ class Simulation:
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a snapshot of this scene; from there the same bits follow."""
+        """Go back to a snapshot of this scene; from there the same bits follow.
+
+        Raises:
+            ValueError: for one of other cloth; the state is as it was.
+        """
+        if (found := snapshot.positions.shape) != self._positions.shape:
+            raise ValueError(f"snapshot: expected one of {len(self._positions)} vertices, got {found[0]}")
         self.model.apply(snapshot.ramp.settings, snapshot.positions)
         self._ramp, self._time, self._injected = snapshot.ramp, snapshot.time, snapshot.injected
         self._positions, self._velocities = snapshot.positions.copy(), snapshot.velocities.copy()

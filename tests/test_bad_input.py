@@ -32,6 +32,7 @@ def setting(**changes):
 
 
 REFUSED = {
+    "key that is no text": ({"cloth": GRID, "effects": {1: "on"}}, "effects.1: no such effect"),
     "non-finite coordinate": (cloth(vertices=[[0, 0, np.nan]] * 3), r"cloth\[0\].vertices\[0\]: .*nan"),
     "index below zero": (
         cloth(triangles=[[0, 1, -1]]),
@@ -62,7 +63,28 @@ REFUSED = {
         f"obstacle: expected at most {MAX_PARTS}",
     ),
     "too far away": (cloth(vertices=[[2e4, 0, 0]] * 3), "within ±1e4 m, got 20000"),
-    "mass of zero": (cloth(masses=[1, 1, 0]), r"masses\[2\]: expected > 0 kg, got 0"),
+    "mass that has no inverse": (
+        cloth(masses=[1, 1, 5e-324]),
+        r"masses\[2\]: expected ≥ 1e-18 and ≤ 1e\+18 kg",
+    ),
+    "masses that have no sum": (cloth(masses=[1e308] * 3), r"masses\[0\]: expected .* kg, got 1e\+308"),
+    "too small": (
+        cloth(vertices=[[0, 0, 0], [1e-9, 0, 0], [0, 1e-9, 0]]),
+        r"cloth\[0\].vertices: expected a size of at least 0.0001 m, got 1e-09",
+    ),
+    "too small at rest": (
+        cloth(rest_vertices=[[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0]]),
+        r"cloth\[0\].rest_vertices: expected a size of at least 0.0001 m, got 1e-05",
+    ),
+    "too small an obstacle": (
+        {"cloth": GRID, "obstacle": [{**TRIANGLE, "vertices": [[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0]]}]},
+        r"obstacle\[0\].vertices: expected a size of at least 0.0001 m, got 1e-05",
+    ),
+    "array of billions": (
+        cloth(vertices=np.broadcast_to(0.0, (10**9, 3))),
+        "expected arrays of at most 1,200,000 numbers, got 3,000,000,000",
+    ),
+    "mass of zero": (cloth(masses=[1, 1, 0]), r"masses\[2\]: expected ≥ 1e-18 and ≤ 1e\+18 kg, got 0"),
     "density of zero": (setting(density=0.0), r"settings.density: expected ≥ 0.0001 and ≤ 1000, got 0"),
     "negative stiffness": (setting(stretch=-1.0), "settings.stretch: expected ≥ 0 and"),
     "negative damping": (setting(gamma=-1.0), "settings.gamma: expected ≥ 0 and"),
@@ -86,6 +108,24 @@ REFUSED = {
     "archive": ({"cloth": {"kind": "mesh", "file": "m.zip"}}, r"cloth\[0\].file: expected one of .obj"),
     "pickle": ({"cloth": {"kind": "mesh", "file": "m.npy"}}, r"cloth\[0\].file: expected one of .obj"),
 }
+
+
+def endless():
+    pins = []
+    pins.append(pins)
+    return {"cloth": {**GRID, "pins": pins}}
+
+
+NO_SCENE = {
+    "nothing": (None, "expected a file, the name of a scene or a dict, got None"),
+    "without an end": (endless(), "expected tables and arrays within few others"),
+}
+
+
+@pytest.mark.parametrize(("source", "words"), NO_SCENE.values(), ids=NO_SCENE)
+def test_what_is_no_scene_at_all_is_refused_in_one_line(source, words):
+    with pytest.raises(SceneError, match=f"^scene: {words}"):
+        load_scene(source)
 
 
 @pytest.mark.parametrize(("table", "words"), REFUSED.values(), ids=REFUSED)
@@ -131,7 +171,7 @@ APART = {
 }
 CROSSED = {"vertices": [[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -1], [0.5, 0.5, 1], [0.6, 0.7, 1]]}
 WARNED = {
-    "edge of three faces": ({"cloth": BOOK}, "three or more triangles and do not bend"),
+    "edge of three faces": ({"cloth": BOOK}, "1 edge of three or more triangles: no bending there"),
     "several components": ({"cloth": APART}, r"cloth\[0\] is in 2 parts that nothing joins"),
     "open obstacle": ({"cloth": GRID, "obstacle": [{**TRIANGLE, "position": [0, 0, -3]}]}, "no inside"),
     "sliver": (cloth(vertices=[[0, 0, 0], [1, 0, 0], [0.5, 1e-3, 0]]), "1 triangle has an angle below 1°"),

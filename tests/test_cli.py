@@ -10,7 +10,7 @@ import pytest
 
 import sim
 from server.cli import main
-from server.commands.options import parse_settings
+from server.commands.options import parse_settings, scene_and_settings
 from server.commands.scenes import count_vertices
 from sim.mesh import build_mesh
 from sim.scene import load_scene, scene_files
@@ -166,10 +166,16 @@ def test_check_warns_of_cloth_that_starts_in_an_obstacle(tmp_path, small):
         (["run", "nowhere"], 1, "nowhere: cannot be read: No such file or directory"),
         (["run", "drape", "--seconds", "q"], 2, "run: Error parsing --seconds: could not convert"),
         (["run", "drape", "--seconds", "0"], 1, "--seconds: expected > 0 and ≤ 100000, got 0"),
+        *(
+            ([study, "drape", "--seconds", time], 1, f"--seconds: expected > 0 and ≤ 3600, got {time}")
+            for study in ("cost", "compare", "audit")
+            for time in ("nan", "inf", "1e+09")
+        ),
         (["run", "drape", "--seconds", "nan"], 1, "--seconds: expected > 0 and ≤ 100000, got nan"),
         (["run", "drape", "--fps", "-1"], 1, "--fps: expected > 0 and ≤ 1e+06, got -1"),
         (["run", "drape", "--set", "gamma=-1"], 1, "gamma: expected ≥ 0 and ≤ 1000, got -1"),
         (["run", "drape", "--set", "gamma=x"], 1, "gamma: expected ≥ 0 and ≤ 1000, got 'x'"),
+        (["run", "drape", "--set", "gamma=" + "[" * 100_000], 1, "gamma: expected ≥ 0 and ≤ 1000, got '[[[["),
         (["run", "drape", "--set", "gamma"], 1, "--set: expected name=value, got 'gamma'"),
         (["run", "drape", "--set", "gama=1"], 1, "gama: no such setting; "),
         (["run", "drape", "--out", "nowhere/x.npz"], 1, "nowhere/x.npz: cannot be written: No such file"),
@@ -180,7 +186,7 @@ def test_check_warns_of_cloth_that_starts_in_an_obstacle(tmp_path, small):
             "5,999,941 frames would take 157 GB, more than 2 GB",
         ),
     ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+    ids=lambda value: " ".join(value)[:60] if isinstance(value, list) else "",
 )
 def test_a_wrong_call_is_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, code, words):
     monkeypatch.chdir(tmp_path)
@@ -231,6 +237,46 @@ def test_run_prints_a_table_and_writes_a_recording_and_the_numbers(tmp_path, sma
     assert summary["settings"]["gamma"] == 0.5
     assert summary["ms"]["total"] > 0
     assert set(summary["energy"]) >= {"kinetic", "gravity", "edge", "cross"}
+
+
+SPOILT = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 1 2 3\nf 1 2 2\n"
+MENDED = [
+    "left out 1 triangle without area",
+    "left out 1 vertex that no triangle uses; pins count the others",
+]
+
+
+@pytest.fixture
+def mended(tmp_path):
+    (tmp_path / "spoilt.obj").write_bytes(SPOILT)
+    path = tmp_path / "mended.toml"
+    path.write_text('[cloth]\nkind = "mesh"\nfile = "spoilt.obj"\n', encoding="utf-8")
+    return path
+
+
+def test_check_says_what_was_mended_and_names_the_file_once(mended, capsys):
+    assert main(["check", str(mended)]) == 0
+    fine = f"{mended}: fine: 3 vertices, 1 triangle, 0 pinned, 2 warnings"
+    assert capsys.readouterr().out.splitlines() == [*(f"{mended}: cloth[0]: {line}" for line in MENDED), fine]
+
+
+def test_a_run_and_a_study_say_what_was_mended(mended, capsys):
+    said = [f"muslin: {mended}: cloth[0]: {line}" for line in MENDED]
+    assert main(["run", str(mended), "--seconds", "0.01"]) == 0
+    assert capsys.readouterr().err.splitlines() == said
+    assert scene_and_settings(str(mended), ())[1] == {}
+    assert capsys.readouterr().err.splitlines() == said
+
+
+def test_a_run_says_that_the_start_was_untangled(tmp_path, capsys):
+    path = tmp_path / "tangled.toml"
+    crossed = "vertices = [[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -0.01], [0.5, 0.5, 1], [0.6, 0.7, 1]]"
+    cloth = f"[cloth]\n{crossed}\ntriangles = [[0, 1, 2], [3, 4, 5]]\n"
+    path.write_text(f'{cloth}[settings]\ntangled = "untangle"\n', encoding="utf-8")
+    assert main(["run", str(path), "--seconds", "0.01"]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith(f"muslin: {path}: untangled the start, by up to 0.")
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(

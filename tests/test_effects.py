@@ -102,11 +102,12 @@ def test_an_effect_that_can_be_skipped_can_be_forced(name):
 
 
 WRONG = [
-    ({"winds": "off"}, "effects.winds: no such effect; the effects are gravity, "),
+    ({"winds": "off"}, "effects.winds: no such effect; did you mean wind?"),
+    ({"warmth": "off"}, "effects.warmth: no such effect; expected one of gravity, "),
     ({"wind": "maybe"}, 'effects.wind: expected one of "auto", "on", "off", got \'maybe\''),
     ({"wind": "on"}, 'effects.wind: expected "auto" or "off" while settings.drag is 0.0, got "on"'),
     ({"wind": 1}, "effects.wind: expected one of"),
-    ({"obstacle 1": "off"}, "effects.obstacle 1: no such effect; the effects are gravity, "),
+    ({"obstacle 1": "off"}, "effects.obstacle 1: no such effect; did you mean obstacles or obstacle ball"),
     ({"obstacle ball": "no"}, "effects.obstacle ball: expected one of"),
     (["wind"], "effects: expected a table of effects"),
 ]

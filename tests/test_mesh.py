@@ -137,7 +137,10 @@ def test_edges_of_three_triangles_do_not_bend_and_are_reported():
             "cloth[0].triangles[0]: expected distinct vertices",
         ),
         ({"vertices": [[0, 0, 0]] * 3, "edges": [[0, -1]]}, "cloth[0].edges[0]: expected vertex indices"),
-        ({"vertices": [[0, 0, 0]], "masses": [0.0]}, "cloth[0].masses[0]: expected > 0 kg, got 0"),
+        (
+            {"vertices": [[0, 0, 0]], "masses": [0.0]},
+            "cloth[0].masses[0]: expected ≥ 1e-18 and ≤ 1e+18 kg, got 0",
+        ),
         ({"vertices": [[0, 0, 0]], "masses": [1.0, 2.0]}, "cloth[0].masses: expected 1 masses, got 2"),
         ({"vertices": []}, "cloth[0].vertices"),
         ({"vertices": [[0, 0, 0], [0, 0]]}, "cloth[0].vertices[1]: expected 3 finite numbers, got [0, 0]"),

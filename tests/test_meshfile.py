@@ -231,7 +231,15 @@ def test_repairs_are_made_and_said(tmp_path):
         (
             "m.obj",
             b"v 9e4 0 0\n" + SQUARE + b"f 1 2 4\n",
-            "expected coordinates within ±10000 m, got 90000 (looks",
+            "vertex 0: expected coordinates within ±10000 m, got 90000 (looks",
+        ),
+        *(
+            (
+                "m.obj",
+                SQUARE + f"v 0 {far} 0\nf 1 2 3\nf 1 2 5\n".encode(),
+                f"vertex 4: expected coordinates within ±10000 m, got {far} (looks",
+            )
+            for far in ("1e+160", "1e+308")  # of which no square, and no size, is finite
         ),
         (
             "m.obj",
@@ -294,6 +302,28 @@ def test_repairs_are_made_and_said(tmp_path):
         ),
         ("m.off", b"OFF\n4000000000 1 0\n", "expected at most 200,000 vertices, got 4,000,000,000"),
         ("m.off", b"OFF\n3 99999 0\n", "its header claims 100,002 elements, more than its 14 bytes can hold"),
+        (
+            "m.off",
+            b"OFF\n3 " + b"9" * 5000 + b" 0\n",
+            "expected OFF and the numbers of vertices and faces at its",
+        ),
+        (
+            "m.off",
+            b"OFF\n" + b"9" * 5000 + b" 1 0\n",
+            "expected OFF and the numbers of vertices and faces at",
+        ),
+        (
+            "m.ply",
+            PLY.replace(b"%d", b"9" * 900, 1) % 1,
+            "line 3: expected a line of a PLY header, got 'element vertex 999",
+        ),
+        (
+            "m.ply",
+            PLY.replace(b"ascii", b"binary_little_endian").replace(b"list uchar", b"list int") % (3, 1)
+            + b"\0" * 36
+            + (-3).to_bytes(4, "little", signed=True),
+            "face 0: vertex_indices: expected a list of none or more, got -3",
+        ),
         ("m.off", b"hello", "expected OFF and the numbers of vertices and faces at its start"),
         (
             "m.off",

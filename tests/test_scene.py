@@ -112,8 +112,22 @@ REFUSED = [
         {"cloth": GRID, "settings": {"contact": "glue"}},
         "settings.contact: expected one of",
     ),
-    ({"cloth": GRID, "settings": {"gama": 1}}, "settings.gama: no such setting; "),
-    ({"cloth": GRID, "compare": {"by": "gama"}}, "compare.by: expected one of gamma, "),
+    ({"cloth": GRID, "settings": {"gama": 1}}, "settings.gama: no such setting; did you mean gamma?"),
+    ({"cloth": GRID, "compare": {"by": "gama"}}, "compare.by: 'gama' is no setting; did you mean gamma?"),
+    (
+        {"cloth": GRID, "settings": {"seed": 16**9000}},
+        "settings.seed: expected a whole number ≥ 0 and ≤ 2.14748e+09, got a number of thousands of digits",
+    ),
+    (
+        {"cloth": GRID, "settings": {"dt": 10**400}},
+        f"settings.dt: expected ≥ 1e-06 and ≤ 1, got 1{'0' * 76}…",
+    ),
+    ({"cloth": GRID, "format": "1"}, "format: expected 1, got '1'"),
+    (
+        {"cloth": {"kind": 3}},
+        'cloth[0].kind: expected one of "grid", "equilateral", "mesh", "arrays", got 3',
+    ),
+    ({"cloth": GRID, "\x1b[2J\n": 1}, "\N{REPLACEMENT CHARACTER}[2J : no such key; "),
     (
         {"cloth": GRID, "compare": {"by": "gamma", "values": []}},
         "compare.values: expected 1 to 4 values, got 0",
@@ -171,8 +185,11 @@ def test_a_file_may_not_say_where_its_meshes_are(tmp_path):
     [
         (b"\xff\xfe", "not TOML"),
         (b"[cloth", "not TOML"),
-        (b"a = " + b"[" * 100_000, "not TOML"),
-        (b"a = " + b"9" * 5000, "not TOML"),
+        (b"a = " + b"[" * 100_000, "not TOML: expected tables and arrays within few others"),
+        (b"a = " + b"9" * 5000, "not TOML: expected whole numbers of at most 4,300 digits, got more"),
+        (b"\na" + b".a" * 8000 + b" = 1", "line 2: expected keys of at most 32 parts, got more"),
+        (b"[a" + b"  . 'a\"b'" * 40 + b"]", "line 1: expected keys of at most 32 parts, got more"),
+        (b'[a.b]\nc."d.\\"e"' + b' ."d.\\"e"' * 40 + b" = 1", "line 2: expected keys of at most 32 parts"),
         (b"#" * (MAX_BYTES + 1), "expected at most 1 MB, got more"),
     ],
 )

@@ -81,7 +81,10 @@ def test_repairs_of_a_shell_are_said_and_an_open_one_has_no_inside():
         ({"kind": "mesh", "file": "../body.obj"}, "file: expected a file inside the scene's folder, got"),
         ({"kind": "mesh", "file": "bad.obj"}, "file: bad.obj: line 1: expected three numbers, got 'v 0 0'"),
         ({"kind": "mesh", "file": "body.obj", "scale": 1e-6}, "file: body.obj: expected a size of at least"),
-        ({"kind": "mesh", "file": "body.obj", "scale": 1e5}, "file: body.obj: expected coordinates within"),
+        (
+            {"kind": "mesh", "file": "body.obj", "scale": 1e5},
+            "file: body.obj: vertex 2: expected coordinates",
+        ),
     ],
 )
 def test_a_mesh_that_is_no_obstacle_is_refused_in_one_line(tmp_path, part, words):

@@ -57,6 +57,32 @@ def test_a_restored_snapshot_goes_on_with_the_same_bits(change):
     assert bits(world) == once
 
 
+def everything(world):
+    """What a refused call may not change."""
+    return world.positions.tobytes(), world.velocities.tobytes(), world.time, world.settings, world.energy()
+
+
+def test_a_snapshot_of_other_cloth_is_refused_and_changes_nothing():
+    world, other = (sim.Simulation(scene(grid(resolution=(n, n)))) for n in (4, 5))
+    world.step()
+    before = everything(world)
+    with pytest.raises(ValueError, match=r"^snapshot: expected one of 16 vertices, got 25$"):
+        world.restore(other.snapshot())
+    assert everything(world) == before
+
+
+@pytest.mark.parametrize(
+    "nonsense", ["x", None, [[1, 2], [3]], np.full((16, 3), "1"), np.ones((16, 3), complex), np.ones((3, 16))]
+)
+def test_cloth_cannot_be_placed_at_what_is_no_place(nonsense):
+    world = sim.Simulation(scene(grid(resolution=(4, 4))))
+    world.step()
+    before = everything(world)
+    with pytest.raises(ValueError, match=r"^positions: expected finite numbers of shape \(16, 3\)$"):
+        world.place(nonsense)
+    assert everything(world) == before
+
+
 def test_a_snapshot_restores_into_a_new_simulation_of_the_scene():
     world = run(25, bend="cross")
     fresh = sim.Simulation(DRAPE)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
+from server.commands.speech import complain
 from sim.scene import Scene, load_scene
 
 T = TypeVar("T")
@@ -82,10 +83,15 @@ def parse_values(text: str) -> tuple[str, list[object]]:
 
 
 def scene_and_settings(name: str, overrides: tuple[Texts, ...]) -> tuple[Scene, dict[str, object]]:
-    """The scene that a study is about, and the settings that differ from its own."""
+    """The scene that a study is about, and the settings that differ from its own; says what was mended."""
     if not name:
         raise ValueError("SCENE: expected a scene file, or one of `muslin scenes`, got none")
-    return load_scene(name), parse_settings([text for texts in overrides for text in texts])
+    from sim.mesh import build_mesh
+
+    scene, settings = load_scene(name), parse_settings([text for texts in overrides for text in texts])
+    for warning in build_mesh(scene).warnings:
+        complain(warning)
+    return scene, settings
 
 
 def command_of(name: str, scene: str, overrides: tuple[Texts, ...], **options: object) -> str:

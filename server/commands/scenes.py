@@ -59,7 +59,13 @@ class Check:
                 continue
             for warning in warnings:
                 say(f"{name}: {warning}")
-            counts = f"{len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles"
+            counts = ", ".join(
+                f"{n:,} {one if n == 1 else many}"
+                for n, one, many in (
+                    (len(mesh.vertices), "vertex", "vertices"),
+                    (len(mesh.triangles), "triangle", "triangles"),
+                )
+            )
             warned = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
             say(f"{name}: fine: {counts}, {len(mesh.pinned):,} pinned{warned}")
         return 1 if failures else 0

@@ -29,6 +29,7 @@ from sim.simulation import Simulation, Snapshot
 from sim.studies import Progress
 from sim.studies.cost.measures import distances, size
 from sim.studies.cost.report import AuditedEffect, AuditReport
+from sim.studies.seconds import check_seconds
 from sim.warmup import warm_up
 
 WINDOWS = 5
@@ -106,7 +107,8 @@ def audit(
     settings = change(scene.settings, **(overrides or {}))
     if not tolerance > 0.0 or not math.isfinite(tolerance):
         raise ValueError(f"--tolerance: expected > 0, got {tolerance:g}")
-    steps = round(seconds / settings.dt) if math.isfinite(seconds) else 0
+    check_seconds(seconds)
+    steps = round(seconds / settings.dt)
     if steps < 1:
         raise ValueError(f"--seconds: expected at least one step of {settings.dt:.3g} s, got {seconds:g}")
     told = progress or (lambda done, what: None)

@@ -139,20 +139,20 @@ class RawClient:
         """Send anything."""
         self._do(self._socket.send(data))
 
-    def look(self, image_width=1280, image_height=720, position=(0.0, -3.0, 1.0)):
+    def look(self, image_width=1280, image_height=720, position=(0.0, -3.0, 1.0), **more):
         """Say where the camera is; only then does viser count this as a client."""
-        self.send(
-            type="ViewerCameraMessage",
-            wxyz=[1.0, 0.0, 0.0, 0.0],
-            position=list(position),
-            fov=0.6,
-            near=0.01,
-            far=100.0,
-            image_height=image_height,
-            image_width=image_width,
-            look_at=[0.0, 0.0, 0.0],
-            up_direction=[0.0, 0.0, 1.0],
-        )
+        camera = {
+            "wxyz": [1.0, 0.0, 0.0, 0.0],
+            "position": list(position),
+            "fov": 0.6,
+            "near": 0.01,
+            "far": 100.0,
+            "image_height": image_height,
+            "image_width": image_width,
+            "look_at": [0.0, 0.0, 0.0],
+            "up_direction": [0.0, 0.0, 1.0],
+        }
+        self.send(type="ViewerCameraMessage", **camera | more)
 
     def find(self, label: str, kind: str = "") -> str:
         """The id of the control with a label."""

@@ -3,6 +3,7 @@
 import http.client
 import logging
 import socket
+import warnings
 
 import pytest
 import viser
@@ -98,6 +99,20 @@ def test_only_listed_messages_reach_viser():
     assert set(server._websock_server._incoming_handlers) <= guard.HANDLED
     assert _messages.FileTransferStartUpload not in server._websock_server._incoming_handlers
     server.stop()
+
+
+def test_values_of_wrong_types_are_not_printed_one_by_one():
+    with warnings.catch_warnings(record=True) as printed:
+        warnings.simplefilter("always")
+        server, _ = guard.open_server("127.0.0.1", 0)
+        client = RawClient(f"http://127.0.0.1:{server.get_port()}")
+        for k in range(3):
+            client.look(up_direction=[f"{k}\n"])
+        client.look()
+        wait_until(server.get_clients)
+        client.close()
+        server.stop()
+    assert not [str(each.message) for each in printed if "does not match" in str(each.message)]
 
 
 def test_other_servers_of_the_process_are_left_alone():

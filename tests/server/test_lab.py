@@ -297,6 +297,12 @@ def test_compiler_that_fails_is_reported_and_the_page_lives():
     lab.stop()
 
 
+def test_what_was_mended_of_a_mesh_is_said_on_the_page(open_lab):
+    points = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    lab, _ = open_lab({"cloth": {"vertices": points, "triangles": [[0, 1, 2], [2, 0, 1]]}})
+    wait_until(lambda: lab._page._note == "scene: cloth[0]: left out 1 repeated triangle")
+
+
 def test_bad_scene_is_refused_before_anything_starts():
     before = set(threading.enumerate())
     with pytest.raises(SceneError):
@@ -444,6 +450,35 @@ def test_the_view_tab_says_what_keys_and_mouse_do(lab, client):
     wait_until(said)
     for key in ("space", "N", "R", "Z", "W", "F"):
         assert f"<td>{key}</td>" in said()[0]
+
+
+NO_CAMERAS = [
+    {"up_direction": [0.0, 0.0, 0.0]},
+    {"look_at": [0.0, -3.0, 1.0]},
+    {"look_at": [0.0, float("nan"), 0.0]},
+    {"position": [1e308, -1e308, 1e308]},
+    {"position": "far"},
+    {"up_direction": [1.0]},
+    {"wxyz": [float("inf")] * 4},
+]
+
+
+def test_a_camera_that_cannot_be_one_keeps_nobody_else_from_seeing_what_is_opened(lab, client, caplog):
+    """One that had no way up ended the opening of every scene, for all."""
+    crowd = [RawClient(lab.url) for _ in NO_CAMERAS]
+    for hostile, camera in zip(crowd, NO_CAMERAS, strict=True):
+        hostile.look()
+        wait_until(lambda hostile=hostile: framed(hostile))
+        hostile.look(**camera)
+    late = RawClient(lab.url)
+    late.look()
+    wait_until(lambda: framed(late))
+    before, made = len(framed(late)), len(FakeWorld.made)
+    lab.post(lab.change_count, 1)
+    wait_until(lambda: len(framed(late)) > before and len(FakeWorld.made) == made + 3)
+    assert not [record for record in caplog.records if record.exc_info]
+    for one in (*crowd, late):
+        one.close()
 
 
 def test_nonsense_camera_leaves_the_lab_running(lab, client):

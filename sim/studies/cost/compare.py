@@ -29,6 +29,7 @@ from sim.studies.cost.timing import Timed, measure, repeat
 from sim.studies.cost.trace import Case
 from sim.studies.cost.verdict import value_in_words
 from sim.studies.cost.workers import RunAll, workers
+from sim.studies.seconds import check_seconds
 from sim.warmup import warm_up
 
 REPEATS, MEMBERS = 3, 2
@@ -77,6 +78,7 @@ def compare(
         raise ValueError(f"--by: expected two or more different values of {by}, got {got}")
     if repeats < 1:
         raise ValueError(f"--repeats: expected 1 or more, got {repeats}")
+    check_seconds(seconds)
     every = common_multiple([s.dt for s in variants])
     looks = int(seconds / every + 1e-9)
     if looks < 1:

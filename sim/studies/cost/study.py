@@ -42,6 +42,7 @@ from sim.studies.cost.timing import Timed, measure, repeat
 from sim.studies.cost.trace import Case, Trace
 from sim.studies.cost.verdict import notes, verdict
 from sim.studies.cost.workers import RunAll, workers
+from sim.studies.seconds import check_seconds
 from sim.warmup import warm_up
 
 TARGET = 1e-2
@@ -91,6 +92,7 @@ def cost(
     """
     scene = load_scene(scene)
     chosen = change(scene.settings, **(overrides or {}))
+    check_seconds(seconds)
     every = planning.steps(chosen, effort)[0]
     if not seconds >= FEWEST * every:
         raise ValueError(f"--seconds: expected at least {FEWEST} steps of {every:.3g} s, got {seconds:g}")
