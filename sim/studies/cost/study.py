@@ -53,6 +53,9 @@ SECONDS = 1.0
 FEWEST = 2
 """Looks that a comparison needs at least."""
 
+FINER_REFERENCE = " (--full takes a finer one, and the time that this takes)"
+"""What helps where it is too coarse."""
+
 GROWTH_SHARE, REFERENCE_SHARE, SWEEP_SHARE, ENSEMBLE_SHARE = 0.06, 0.15, 0.55, 0.04
 """Parts of the time of a study for each run that drifts apart, each reference, all timed runs, and each
 seeded run; what is reached by then is what is compared."""
@@ -225,7 +228,8 @@ class _Study:
             if look is not None and look >= min(FEWEST, last):
                 return reference, timed, look, refined
             if refined == self.effort.refinements:
-                raise refuse(reference, errors, last)
+                why = refuse(reference, errors, last, FEWEST)
+                raise why if math.isinf(self.effort.minutes) else ReferenceError(f"{why}{FINER_REFERENCE}")
             refined += 1
 
     def _affordable(self, reference: Trace, planned: Sequence[Planned]) -> int:

@@ -116,6 +116,13 @@ def test_the_page_begins_with_what_to_do_and_escapes_what_was_typed(written, rep
     assert "[settings]" in text
 
 
+def test_a_terminal_ends_with_what_to_do_and_the_block_to_paste(reports):
+    for study in ("cost", "audit"):
+        block = pages.result(reports[study]).notes[-1]
+        assert block.splitlines()[1] in ("[settings]", "[effects]")
+    assert pages.result(reports["cost"]).notes[-2] == reports["cost"].verdict.sentence
+
+
 @pytest.mark.browser
 @WITHOUT_BROWSER
 @pytest.mark.parametrize("study", REPORTS)
