@@ -56,7 +56,7 @@ def page(report: Report, result: Result, figures: Figures) -> str:
         title=result.title,
         about=f"{report.vertices:,} vertices; {report.seconds:.3g} s simulated{_told(report)}. "
         f"{report.command} · {report.date}",
-        sentences=sentences,
+        sentences=sentences[::-1],
         toml=toml,
         figures=[
             {"name": name, "caption": caption, "svg": inline_svg(figure, name)}
@@ -68,7 +68,7 @@ def page(report: Report, result: Result, figures: Figures) -> str:
 
 
 def _top(report: Report) -> tuple[str, ...]:
-    """The sentences at the top of a page, and last what is to be pasted into the scene."""
+    """What a terminal ends with: sentences, the one to act on last, and what to paste into the scene."""
     if isinstance(report, AuditReport):
         return sentence(report), report.toml
     if isinstance(report, CostReport):
