@@ -24,7 +24,7 @@ DECADES = 4.0
 
 
 def audit_result(report: AuditReport) -> Result:
-    """The audit as a table, the sentence first among the notes, and the block to paste last."""
+    """The audit as a table."""
     columns = (
         "",
         "effect",
@@ -43,7 +43,7 @@ def audit_result(report: AuditReport) -> Result:
     )
     caption = f"Every effect left out, or brought in where it is off ({KEPT}: matters); {about}"
     table = Table(caption, columns, tuple(map(_row, effects)))
-    return Result(f"What {report.scene} needs", (table,), (sentence(report), report.toml))
+    return Result(f"What {report.scene} needs", (table,), ())
 
 
 def _row(effect: AuditedEffect) -> tuple[str | float | None, ...]:

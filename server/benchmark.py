@@ -107,9 +107,13 @@ def conditions(about: dict[str, object]) -> tuple[str, ...]:
     """Sentences on what a result was measured with and by."""
     computer, versions = _items(about["hardware"]), _items(about["versions"])
     load = dict(computer).get("load")
+    hardware = (
+        f"{name.removesuffix('_gb').replace('_', ' ')} {_known(value)}" + " GB" * name.endswith("_gb")
+        for name, value in computer
+    )
     notes = [
         f"Measured on {about['date']} by `{about['command']}`.",
-        f"Hardware: {', '.join(f'{name} {_known(value)}' for name, value in computer)}. "
+        f"Hardware: {', '.join(hardware)}. "
         f"Versions: {', '.join(f'{name} {value}' for name, value in versions)}.",
     ]
     if isinstance(load, float) and load > BUSY:

@@ -21,6 +21,9 @@ FIND = "Find settings"
 LARGEST = 1e6
 """Of an amount; nobody means more."""
 
+DECIMALS = 6
+"""That may be typed; by itself a box takes no more than its first value has."""
+
 CLOTHS = ("first cloth", "second cloth", "third cloth", "fourth cloth")
 """Whose state and settings are measured from, from left to right."""
 
@@ -43,7 +46,8 @@ class BudgetTab:
     def __init__(self, gui: viser.GuiApi) -> None:
         gui.add_html(caption(EXPLANATION))
         self._kind = gui.add_dropdown("budget", (TIME, ERROR), initial_value=TIME)
-        self._most = gui.add_number("at most", 5.0, min=0.0, step=None)
+        self._most = gui.add_number("at most", 5.0, min=0.0, step=1.0)
+        self._most.precision = DECIMALS
         self._cloth = gui.add_dropdown("for the", CLOTHS, initial_value=CLOTHS[0])
         self._find = gui.add_button_group("find", (FIND,))
         self._answer = gui.add_html("")

@@ -14,11 +14,13 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
+    ProgressColumn,
     SpinnerColumn,
+    Task,
     TaskProgressColumn,
     TextColumn,
-    TimeRemainingColumn,
 )
+from rich.text import Text
 
 from server.study import show
 from sim.studies import Result
@@ -26,6 +28,22 @@ from sim.studies import Result
 if TYPE_CHECKING:
     from server.figures import Figures
     from server.pages import Report
+
+TOLD = 0.02
+"""Part that must be done before anybody can say how long the rest takes."""
+
+
+class Remaining(ProgressColumn):
+    """How long the rest takes if it goes on as it went so far; more and more while nothing comes of it."""
+
+    def render(self, task: Task) -> Text:
+        """What a terminal shows."""
+        done, elapsed = task.percentage / 100.0, task.elapsed or 0.0
+        if done <= TOLD:
+            return Text("")
+        minutes, seconds = divmod(round(elapsed * (1.0 - done) / done), 60)
+        return Text(f"{minutes}:{seconds:02} left", style="progress.remaining")
+
 
 PLOTS = (".png", ".svg")
 """Files of each plot."""
@@ -98,7 +116,7 @@ def _measured(measure: Callable[[Callable[[float, str], None]], Report]) -> Repo
         TextColumn("{task.description}"),
         BarColumn(),
         TaskProgressColumn(),
-        TimeRemainingColumn(),
+        Remaining(),
     )
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)

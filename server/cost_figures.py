@@ -17,7 +17,7 @@ from sim.studies.cost.measures import UNITS
 from sim.studies.cost.plan import NEWTON, RESPONSE, SOLVED, STEP, TOLERANCE
 from sim.studies.cost.reference import MARGIN
 from sim.studies.cost.report import CompareReport, CostReport, Run
-from sim.studies.cost.verdict import FRAME, percent, value_in_words
+from sim.studies.cost.verdict import FRAME, in_words, percent, value_in_words
 
 TITLES = {
     "backward_euler": "backward Euler",
@@ -92,7 +92,8 @@ def compare_figures(report: CompareReport) -> Figures:
         timed = [v for v in report.variants if v.ms is not None]
         if timed:
             bars = [(v.name, v.phases) for v in timed]
-            found["phases"] = ("Where the time of a frame goes.", _bars(bars))
+            title = f"{report.scene} by {report.by}: where the time goes"
+            found["phases"] = ("Where the time of a frame goes.", _bars(title, bars))
         return found
 
 
@@ -249,14 +250,20 @@ def _phases(report: CostReport) -> Figure:
     shown = sorted((run for run in report.runs if run.front), key=lambda run: run.ms)
     shown = [shown[round(i)] for i in np.linspace(0, len(shown) - 1, min(MOST_BARS, len(shown)))]
     rows = [("chosen now", report.runs[0].phases)]
-    rows += [
-        (f"{percent(run.error)}: {run.curves[0]}, h = {value_in_words('dt', run.settings.dt)}", run.phases)
-        for run in shown
-    ]
-    return _bars(rows)
+    rows += [(f"{percent(run.error)}: {_short(run)}", run.phases) for run in shown]
+    return _bars(f"{report.scene}: where the time goes", rows)
 
 
-def _bars(rows: Sequence[tuple[str, dict[str, float]]]) -> Figure:
+def _short(run: Run) -> str:
+    """Method and step of a run, and what else was changed; not a tolerance that only goes with these."""
+    method = TITLES.get(run.settings.integrator, run.settings.integrator)
+    also = {name: value for name, value in run.changed.items() if name not in ("integrator", "dt")}
+    if len(run.changed) > 1:
+        also.pop("tolerance", None)
+    return ", ".join([method, f"h = {value_in_words('dt', run.settings.dt)}", *[in_words(also)] * bool(also)])
+
+
+def _bars(title: str, rows: Sequence[tuple[str, dict[str, float]]]) -> Figure:
     """Milliseconds per frame by phase, stacked."""
     figure, axes = axes_for((12.0, 2.2 + 0.55 * len(rows)))
     phases = list(dict.fromkeys(name for _, spent in rows for name in spent))
@@ -276,6 +283,7 @@ def _bars(rows: Sequence[tuple[str, dict[str, float]]]) -> Figure:
     axes.grid(False, axis="y")
     axes.set(xlabel="time per frame of 1/60 s  [ms]", xlim=(0.0, 1.15 * max(left, default=1.0)))
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(phases))
+    figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 

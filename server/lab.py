@@ -297,9 +297,12 @@ class Lab:
                 return
             name = self._comparison.short_name(index)
             tab.say(f"{name}: {choice.sentence}" if count > 1 else choice.sentence)
-            for name, value in choice.changes.items():
-                self.set_shared(name, value)
-            self._page.panel.show_comparison(self._comparison)
+            comparison = self._comparison
+            for setting, value in choice.changes.items():
+                comparison = comparison.with_shared(setting, value)
+            if comparison != self._comparison:
+                self._history.note(self._comparison, work)  # one change, though of several settings
+                self._change_on_page(comparison, "budget")
 
         self.pause()
         tab.say("measuring …")

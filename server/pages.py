@@ -27,7 +27,7 @@ Report = CostReport | CompareReport | AuditReport
 
 
 def result(report: Report) -> Result:
-    """The report as tables and sentences."""
+    """The report as tables and sentences; what to do about it comes last, where a terminal still shows it."""
     about = {
         "command": report.command,
         "date": report.date,
@@ -38,7 +38,8 @@ def result(report: Report) -> Result:
         made = audit_result(report)
     else:
         made = _cost_result(report) if isinstance(report, CostReport) else _compare_result(report)
-    return Result(made.title, made.tables, (*made.notes, *report.notes, *conditions(about)))
+    last = (words.rstrip() for words in _top(report) if words)
+    return Result(made.title, made.tables, (*made.notes, *report.notes, *conditions(about), *last))
 
 
 def figures(report: Report) -> Figures:
@@ -50,12 +51,12 @@ def figures(report: Report) -> Figures:
 
 def page(report: Report, result: Result, figures: Figures) -> str:
     """The report as a page."""
-    *sentences, toml = _top(report)
+    *sentences, toml = (words.rstrip() for words in _top(report))
     return _template().render(
         title=result.title,
         about=f"{report.vertices:,} vertices; {report.seconds:.3g} s simulated{_told(report)}. "
         f"{report.command} · {report.date}",
-        sentences=sentences,
+        sentences=sentences[::-1],
         toml=toml,
         figures=[
             {"name": name, "caption": caption, "svg": inline_svg(figure, name)}
@@ -67,11 +68,11 @@ def page(report: Report, result: Result, figures: Figures) -> str:
 
 
 def _top(report: Report) -> tuple[str, ...]:
-    """The sentences at the top of a page, and last what is to be pasted into the scene."""
+    """What a terminal ends with: sentences, the one to act on last, and what to paste into the scene."""
     if isinstance(report, AuditReport):
         return sentence(report), report.toml
     if isinstance(report, CostReport):
-        return report.verdict.sentence, report.verdict.dominates, report.verdict.toml
+        return report.verdict.dominates, report.verdict.sentence, report.verdict.toml
     return ("",)
 
 
@@ -124,9 +125,6 @@ def _cost_result(report: CostReport) -> Result:
         f"{drift}.",
         f"Reference: SDIRK2 with steps of {1e3 * report.reference.dt:.3g} ms. Its distance from what checks "
         f"it: {checks}; the larger one is the floor.",
-        report.verdict.dominates,
-        report.verdict.sentence,
-        report.verdict.toml,
     )
     return Result(f"What accuracy costs: {report.scene}", tuple(tables), notes)
 

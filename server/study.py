@@ -18,6 +18,9 @@ from sim.studies import STUDIES, Cell, Result, Table
 WIDTH = 120
 """Characters of a line where no terminal says how many it has."""
 
+OPEN: dict[str, Any] = {"box": SIMPLE_HEAD, "pad_edge": False, "collapse_padding": True}
+"""The look of a table without lines between its columns."""
+
 HTML = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -129,27 +132,53 @@ def _print(result: Result, console: Console) -> None:
 
 
 def _printed(table: Table, console: Console) -> Printed:
-    """A table in which no word is cut short, if there is room: without lines between columns if need be."""
-    count, narrow = len(table.columns), {"box": SIMPLE_HEAD, "pad_edge": False, "collapse_padding": True}
+    """A table in which no word is cut: with no lines between columns if need be, else with several in one."""
     texts = [[heading, *(cell_text(row[k]) for row in table.rows)] for k, heading in enumerate(table.columns)]
-    widths = _widths(texts, console.width - 3 * count - 1)
-    look: dict[str, Any] = {} if widths else narrow
-    widths = widths or _widths(texts, console.width - 2 * count - 2) or [None] * count
+    left = [any(isinstance(row[k], str) for row in table.rows) for k in range(len(texts))]
+    count, gap = len(texts), 2
+    if widths := _widths(texts, console.width - 3 * count - 1):
+        return _laid_out(texts, left, widths, {})
+    if widths := _widths(texts, console.width - gap * count - gap):
+        return _laid_out(texts, left, widths, OPEN)
+    for lines in range(2, count):
+        folded = _folded(texts, left, lines)
+        if widths := _widths(folded, console.width - gap * len(folded) - gap, breaks="\n"):
+            return _laid_out(folded, [True] * len(folded), widths, {**OPEN, "leading": 1})
+    return _laid_out(texts, left, [None] * count, OPEN)
+
+
+def _laid_out(
+    texts: Sequence[Sequence[str]], left: Sequence[bool], widths: Sequence[int | None], look: dict[str, Any]
+) -> Printed:
+    """The table of columns that are a heading and its cells each."""
     printed = Printed(**look)
-    for k, (heading, width) in enumerate(zip(table.columns, widths, strict=True)):
-        words = any(isinstance(row[k], str) for row in table.rows)
+    for (heading, *_), words, width in zip(texts, left, widths, strict=True):
         printed.add_column(heading, justify="left" if words else "right", width=width)
     for row in zip(*(column[1:] for column in texts), strict=True):
         printed.add_row(*row)
     return printed
 
 
-def _widths(texts: Sequence[Sequence[str]], room: int) -> list[int] | None:
+def _folded(texts: Sequence[Sequence[str]], left: Sequence[bool], lines: int) -> list[list[str]]:
+    """Columns that hold several each, one below the other: a row then takes so many lines."""
+    fewer = math.ceil(len(texts) / lines)
+    folded = []
+    for k in range(fewer):
+        stack = list(zip(texts[k::fewer], left[k::fewer], strict=True))
+        width = max(len(text) for column, _ in stack for text in column)
+        sides = [[text.ljust(width) if words else text.rjust(width) for text in c] for c, words in stack]
+        sides += [[""] * len(texts[0])] * (lines - len(sides))
+        folded.append(["\n".join(cells) for cells in zip(*sides, strict=True)])
+    return folded
+
+
+def _widths(texts: Sequence[Sequence[str]], room: int, breaks: str | None = None) -> list[int] | None:
     """Characters of each column, so that no word is cut, within `room` for all of them; None for too little.
 
-    What is left goes to columns that need least to have all in one line.
+    What is left goes to columns that need least to have all in one line. Words are what stands between
+    `breaks`; by default, between blanks.
     """
-    widths = [max(len(word) for text in column for word in [*text.split(), " "]) for column in texts]
+    widths = [max(len(word) for text in column for word in [*text.split(breaks), " "]) for column in texts]
     spare = room - sum(widths)
     if spare < 0:
         return None

@@ -171,4 +171,5 @@ def _missed(settings: Settings, chosen: Tried, ms: float | None, error: float | 
         if ms is not None
         else f"errs by at most {percent(error or 0.0)}"
     )
-    return f"Nothing tried {wanted}. The nearest: {_named(settings, chosen.changes)}: {_costs(chosen.found)}."
+    nearest = f"{_named(settings, chosen.changes)}: {_costs(chosen.found)}"
+    return f"Nothing tried {wanted}: nothing is changed. The nearest: {nearest}."

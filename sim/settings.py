@@ -646,6 +646,12 @@ def change(settings: Settings, **changes: Any) -> Settings:
     return msgspec.structs.replace(settings, **checked)
 
 
+def differing(settings: Settings, others: Settings) -> dict[str, Any]:
+    """What must change of `settings` to have the `others`."""
+    before = msgspec.structs.asdict(settings)
+    return {name: value for name, value in msgspec.structs.asdict(others).items() if before[name] != value}
+
+
 def convert(name: str, value: Any) -> Any:
     """`value` as setting `name` holds it; ValueError names the field, the value and what is allowed."""
     if name not in FIELDS:

@@ -149,6 +149,16 @@ def test_log_slider_box_takes_a_number(lab, page):
     all_go_on(lab)
 
 
+def test_a_budget_may_be_a_part_of_a_percent(lab, page):
+    page.get_by_role("tab", name="Budget").click()
+    box = row(page, "at most").locator("input").first
+    box.fill("0.025")
+    box.press("Enter")
+    wait_until(lambda: lab._page.charts.budget._most.value == 0.025)
+    assert box.input_value() == "0.025"
+    page.get_by_role("tab", name="Cost").click()
+
+
 def test_pause_step_and_reset(lab, page):
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play").wait_for()

@@ -9,6 +9,7 @@ from fake_world import FakeWorld, press_find, wait_until
 import server.prober
 from server.lane import Ask, Frame
 from server.prober import MEASURING, Prober, Stopped
+from sim.budget import Choice
 from sim.probe import LocalError
 from sim.report import StepError
 
@@ -303,6 +304,18 @@ def test_a_budget_is_for_the_cloth_that_is_chosen(lab, client, monkeypatch):
     press_find(client, "time per frame [ms]", 3.0)
     wait_until(lambda: "There are 2 cloths only" in lab._page.charts.budget._answer.content)
     assert asked == [1]
+
+
+def test_what_a_budget_sets_is_one_change_that_one_undo_takes_back(lab, client, monkeypatch):
+    before, changes = lab.comparison, {"newton": 7, "tolerance": 1e-5, "dt": 1 / 120}
+    found = LocalError(error=1e-3, floor=1e-5, seconds=1 / 60, ms=1.0)
+    choice = Choice(changes, True, "These.", found, found)
+    monkeypatch.setattr(lab._prober, "ask", lambda *a, **booked: booked or lab.post(a[-1], choice))
+    press_find(client, "time per frame [ms]", 3.0)
+    wait_until(lambda: lab.comparison.shared.newton == 7)
+    assert {name: getattr(lab.comparison.shared, name) for name in changes} == changes
+    lab.post(lab.undo)
+    wait_until(lambda: lab.comparison == before)
 
 
 @pytest.mark.parametrize("nonsense", [0.0, -1.0, float("nan"), float("inf"), True, "many", None])

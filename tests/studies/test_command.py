@@ -181,3 +181,17 @@ def test_no_word_of_a_table_is_cut_short_where_there_is_room_for_it():
         assert any("│" in line for line in lines) == boxed
         assert "…" not in console.file.getvalue()
         console.file = io.StringIO()
+
+
+def test_where_a_line_is_too_short_for_all_columns_they_share_lines_and_nothing_is_cut():
+    names = ("integrator", "other", *(f"matvecs {k}" for k in range(9)))
+    rows = (("backward_euler", "as it was chosen", *(1234.5 + k for k in range(9))),) * 2
+    for width in (80, 60, 40):
+        console = Console(width=width, file=io.StringIO())
+        console.print(_printed(Table("wide", names, rows), console))
+        text = console.file.getvalue()
+        lines = text.splitlines()
+        assert "…" not in text
+        assert max(map(len, lines)) <= width
+        for words in (*names, *(cell_text(cell) for cell in rows[0])):
+            assert any(words in line for line in lines)

@@ -157,7 +157,7 @@ class _Comparison:
             horizon=None if look is None else look * self.every,
             growth=grown,
             variants=found,
-            notes=_notes(by, own, look, self.looks, self.every),
+            notes=_notes(by, own, look, self.looks, self.every) + _alike(found),
             hardware=computer,
             versions=versions(),
         )
@@ -262,6 +262,18 @@ def scene_with(scene: Scene, settings: Settings) -> Scene:
     from msgspec.structs import replace
 
     return replace(scene, settings=settings)
+
+
+def _alike(variants: Sequence[Variant]) -> list[str]:
+    """A note where errors do not tell the variants apart."""
+    errors = [v.error for v in variants if v.error is not None]
+    floor = max((v.floor for v in variants if v.floor is not None), default=0.0)
+    if len(errors) < 2 or max(errors) - min(errors) > floor:
+        return []
+    return [
+        "Up to then all variants err alike, to within the floor: what tells them apart comes later, and "
+        "shows in penetrations, crossings, energies and observables alone."
+    ]
 
 
 def _notes(by: str, own: bool, look: int | None, looks: int, every: float) -> list[str]:

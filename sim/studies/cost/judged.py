@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from msgspec.structs import asdict, replace
+from msgspec.structs import replace
 
 from sim.integrators import INTEGRATORS
-from sim.settings import Settings
+from sim.settings import differing
 from sim.studies.cost.front import front
 from sim.studies.cost.plan import SOLVED, Planned
 from sim.studies.cost.reference import Reference
@@ -80,12 +80,6 @@ def _turnover(trace: Trace, look: int) -> float:
     until = slice(look + 1)
     largest = max(float(np.ptp(part[until])) for part in trace.parts.values())
     return max(largest, float(trace.parts["kinetic"][until].max()), np.finfo(float).tiny)
-
-
-def differing(chosen: Settings, settings: Settings) -> dict[str, Any]:
-    """What `settings` has that `chosen` has not."""
-    before = asdict(chosen)
-    return {name: value for name, value in asdict(settings).items() if before[name] != value}
 
 
 def truth(reference: Reference, look: int, refined: int) -> Truth:

@@ -128,8 +128,8 @@ def comparable(floor: np.ndarray, errors: Sequence[np.ndarray], most: int) -> in
     return int(found[-1]) if len(found) else None
 
 
-def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int) -> ReferenceError:
-    """The error that says why no look is `comparable`."""
+def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int, fewest: int) -> ReferenceError:
+    """The error that says why no look from `fewest` to `most` is `comparable`."""
     looks = min([most + 1, len(reference.floor), *map(len, errors)])
     smallest = np.min([error[:looks] for error in errors], axis=0)
     if reference.floor[looks - 1] <= ROUNDING and smallest[-1] <= ROUNDING:
@@ -137,9 +137,11 @@ def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int) -> Ref
             f"up to {reference.trace.times[looks - 1]:.3g} s methods are exact to rounding: there is nothing "
             "to compare; ask for more --seconds, or another scene"
         )
-    at = int(np.argmin(reference.floor[1:looks] / np.maximum(smallest[1:], ROUNDING))) + 1
+    first = min(fewest, looks - 1)
+    parts = reference.floor[first:looks] / np.maximum(smallest[first:], ROUNDING)
+    at = first + int(np.argmin(parts))
     return ReferenceError(
         f"the reference is too coarse: with steps of {1e3 * reference.dt:.3g} ms it is known to "
-        f"{reference.floor[at]:.1e} at {reference.trace.times[at]:.3g} s, expected a tenth of the smallest "
-        f"error, {smallest[at]:.1e}"
+        f"{reference.floor[at]:.1e} at {reference.trace.times[at]:.3g} s, where the smallest error is "
+        f"{smallest[at]:.1e}; expected a tenth of that"
     )

@@ -54,6 +54,9 @@ SECONDS = 1.0
 FEWEST = 2
 """Looks that a comparison needs at least."""
 
+FINER_REFERENCE = " (--full takes a finer one, and the time that this takes)"
+"""What helps where it is too coarse."""
+
 GROWTH_SHARE, REFERENCE_SHARE, SWEEP_SHARE, ENSEMBLE_SHARE = 0.06, 0.15, 0.55, 0.04
 """Parts of the time of a study for each run that drifts apart, each reference, all timed runs, and each
 seeded run; what is reached by then is what is compared."""
@@ -137,7 +140,7 @@ class _Study:
         runs, failed = judged(subject, planned, timed, reference, look)
         if not runs or runs[0].settings != subject.chosen:
             raise ReferenceError(f"the chosen settings fail {timed[0].trace.stopped}")
-        on_meshes = meshes(subject, timed[0], look, lambda what: self._say(0.86, what))
+        on_meshes = meshes(subject, timed[0], look, lambda what: self._say(0.83, what))
         found = self._sources(timed[0].trace, look, contact)
         seeded = self._bands(runs, look)
         self._say(1.0, "done")
@@ -164,7 +167,10 @@ class _Study:
         )
 
     def _say(self, done: float, what: str) -> None:
-        """Tell how far it is; a reference that is refined does not take back what was said."""
+        """Tell how far it is, in parts of the time that stages usually take.
+
+        A reference that is refined does not take back what was said.
+        """
         self._done = max(self._done, done)
         self._progress(self._done, what)
 
@@ -188,7 +194,7 @@ class _Study:
         hairs = [(HAIR * subject.length, 1 + member) for member in range(self.effort.members)]
         cases = [subject.case(settings, self.most, limit=limit)]
         cases += [subject.case(settings, self.most, hair, limit=limit) for hair in hairs]
-        base, *moved = self._made(cases, 0.02, 0.15, "how fast runs drift apart")
+        base, *moved = self._made(cases, 0.02, 0.1, "how fast runs drift apart")
         if len(base) <= FEWEST:
             why = base.stopped or "for lack of time; ask for --full"
             raise ReferenceError(
@@ -213,7 +219,7 @@ class _Study:
             dt = planning.steps(subject.chosen, self.effort)[-1] / self.finer / 2**refined
             limit = self._limit(REFERENCE_SHARE)
             cases = [subject.case(s, last, limit=limit) for s in reference_settings(subject.chosen, dt)]
-            traces = self._made(cases, 0.15, 0.5, "the reference")
+            traces = self._made(cases, 0.1, 0.3, "the reference")
             reference = judge(traces, dt, subject.masses, subject.length)
             begun = int(np.argmax(reference.floor > ROUNDING))  # before, cloth falls, and all are exact
             afforded = max(self._affordable(traces[0], planned), begun + FEWEST)
@@ -227,7 +233,8 @@ class _Study:
             if look is not None and look >= min(FEWEST, last):
                 return reference, timed, look, refined
             if refined == self.effort.refinements:
-                raise refuse(reference, errors, last)
+                why = refuse(reference, errors, last, FEWEST)
+                raise why if math.isinf(self.effort.minutes) else ReferenceError(f"{why}{FINER_REFERENCE}")
             refined += 1
 
     def _affordable(self, reference: Trace, planned: Sequence[Planned]) -> int:
@@ -240,21 +247,21 @@ class _Study:
 
     def _timed(self, planned: Sequence[Planned], last: int) -> list[Timed]:
         cases = [self.subject.case(asdict(p.settings), last) for p in planned]
-        return measure(cases, lambda i: self._say(0.5 + 0.15 * i / len(cases), _what(planned[i])))
+        return measure(cases, lambda i: self._say(0.3 + 0.2 * i / len(cases), _what(planned[i])))
 
     def _repeat(self, planned: Sequence[Planned], timed: Sequence[Timed], look: int) -> None:
         cases = [self.subject.case(asdict(p.settings), look) for p in planned]
         until = self.begin + self._limit(1.0)
 
         def go_on(done: float) -> bool:
-            self._say(0.65 + 0.2 * done, f"timing {len(cases)} runs, several times each")
+            self._say(0.5 + 0.32 * done, f"timing {len(cases)} runs, several times each")
             return time.perf_counter() < until
 
         repeat(cases, timed, self.effort.repeats, go_on)
 
     def _sources(self, chosen: Trace, look: int, contact: bool) -> list[Source]:
         turned = refinements(self.subject, look, contact)
-        traces = self._made([r.case for r in turned], 0.89, 0.93, "where the error comes from")
+        traces = self._made([r.case for r in turned], 0.85, 0.88, "where the error comes from")
         return sources(self.subject, chosen, turned, traces, look)
 
     def _bands(self, runs: Sequence[Run], look: int) -> list[Band]:
@@ -270,7 +277,7 @@ class _Study:
             for run in chosen.values()
             for nudge in nudges
         ]
-        traces = self._made(cases, 0.93, 1.0, "seeded runs beyond the horizon")
+        traces = self._made(cases, 0.88, 1.0, "seeded runs beyond the horizon")
         for k, name in enumerate(chosen):
             found += bands(name, traces[k * members : (k + 1) * members])
         return found

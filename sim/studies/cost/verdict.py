@@ -9,6 +9,7 @@ from typing import Any
 import tomli_w
 from msgspec import to_builtins
 
+from sim.settings import Settings, differing
 from sim.studies.cost.front import cheapest
 from sim.studies.cost.measures import UNITS
 from sim.studies.cost.plan import SOLVED
@@ -44,7 +45,7 @@ def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target:
         sentence=_sentence(chosen, best, target, found is not None),
         dominates=dominant(sources),
         settings=changed,
-        toml=_toml(changed, best, target, found is not None),
+        toml=_toml(best, target, found is not None),
         ms=best.ms,
         error=best.error,
         pays=chosen.ms / best.ms,
@@ -110,10 +111,14 @@ def value_in_words(name: str, value: Any) -> str:
     return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
-def _toml(changed: dict[str, Any], best: Run, target: float, met: bool) -> str:
+def _toml(best: Run, target: float, met: bool) -> str:
+    """All settings of a run that are not the default.
+
+    TOML has no two tables of one name, so they replace the scene's, and those that were overridden go along.
+    """
     reach = f"for {percent(target)} error" if met else f"nearest to {percent(target)} error"
-    head = f"# {reach}: {percent(best.error)} at {best.ms * FRAME:.3g} ms per frame\n"
-    return head + tomli_w.dumps({"settings": changed})
+    head = f"# {reach}: {percent(best.error)} at {best.ms * FRAME:.3g} ms per frame; in place of [settings]\n"
+    return head + tomli_w.dumps({"settings": to_builtins(differing(Settings(), best.settings))})
 
 
 def notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:

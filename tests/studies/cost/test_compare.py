@@ -96,3 +96,11 @@ def test_a_variant_that_fails_says_why_and_leaves_the_others_their_numbers(swing
     assert (fine.stopped, fine.ms is None) == ("", False)
     assert "velocity of vertex" in failed.stopped
     assert failed.error is None
+
+
+def test_where_errors_end_before_variants_part_it_is_said(swing, compared):
+    """Without anything to touch, responses are the same."""
+    same = compare(swing, "contact", ["none", "penalty"], seconds=0.2, repeats=1, jobs=1)
+    assert any("all variants err alike" in note for note in same.notes)
+    apart = np.ptp([v.error for v in compared.variants]) > max(v.floor for v in compared.variants)
+    assert any("all variants err alike" in note for note in compared.notes) != apart

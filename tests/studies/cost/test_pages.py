@@ -9,10 +9,12 @@ from html.parser import HTMLParser
 import jsonschema
 import msgspec
 import pytest
+from rich.progress import Progress
 from small import WASTEFUL
 
 from server import pages
 from server.cli import main
+from server.cost import Remaining
 from server.figures import png, svg
 from sim.integrators import INTEGRATORS
 from sim.studies.cost.report import REPORTS, schema
@@ -110,10 +112,19 @@ def test_the_page_refers_to_nothing_outside_itself(written, study):
 
 def test_the_page_begins_with_what_to_do_and_escapes_what_was_typed(written, reports):
     text, _ = written["cost"]
-    assert text.index(reports["cost"].verdict.sentence.split(":")[0]) < text.index("<figure")
+    wanted = reports["cost"].verdict
+    first, second = (text.index(words.split(":")[0]) for words in (wanted.sentence, wanted.dominates))
+    assert first < second < text.index("<figure")
     assert "muslin cost &lt;swing&gt;" in text
     assert "<swing>" not in text
     assert "[settings]" in text
+
+
+def test_a_terminal_ends_with_what_to_do_and_the_block_to_paste(reports):
+    for study in ("cost", "audit"):
+        block = pages.result(reports[study]).notes[-1]
+        assert block.splitlines()[1] in ("[settings]", "[effects]")
+    assert pages.result(reports["cost"]).notes[-2] == reports["cost"].verdict.sentence
 
 
 @pytest.mark.browser
@@ -206,3 +217,25 @@ def test_the_command_writes_everything_and_prints_a_sentence_to_act_on(tmp_path)
     assert "error on this scene the cheapest setting is" in " ".join(done.stdout.split())
     assert files["html"].read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert len(list((tmp_path / "plots").glob("*.png"))) == len(list((tmp_path / "plots").glob("*.svg"))) >= 6
+
+
+def test_bars_of_runs_say_method_step_and_what_else_was_changed(reports):
+    report = reports["cost"]
+    labels = [tick.get_text() for tick in pages.figures(report)["phases"][1].axes[0].get_yticklabels()]
+    assert labels[0] == "chosen now"
+    assert all(" %: " in words and ", h = 1/" in words for words in labels[1:])
+    counts = {run.settings.newton for run in report.runs if run.front} - {report.chosen.newton}
+    assert all(any(words.endswith(f"newton = {count}") for words in labels) for count in counts)
+
+
+def test_remaining_time_is_told_of_the_whole_run_and_grows_while_nothing_comes_of_it():
+    clock = iter([0.0, 30.0, 90.0])
+    now = [next(clock)]
+    with Progress(get_time=lambda: now[0], disable=True) as progress:
+        progress.add_task("", total=1.0)
+        (task,) = progress.tasks
+        assert Remaining().render(task).plain == ""
+        progress.update(task.id, completed=0.25)
+        for words in ("1:30 left", "4:30 left"):
+            now[0] = next(clock)
+            assert Remaining().render(task).plain == words

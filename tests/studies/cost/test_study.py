@@ -1,9 +1,11 @@
 """What accuracy costs: the study finds known orders, sees waste, and refuses what it cannot judge."""
 
 import math
+import time
 import tomllib
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 import pytest
 from small import FEW, WASTEFUL
@@ -11,15 +13,18 @@ from small import FEW, WASTEFUL
 import sim
 from server.cli import main
 from sim.integrators import INTEGRATORS
+from sim.settings import change
 from sim.studies.cost import plan as planning
 from sim.studies.cost import study
+from sim.studies.cost import trace as traces
 from sim.studies.cost.front import cheapest, front
 from sim.studies.cost.measures import Measures, distances, size
 from sim.studies.cost.nested import nested
 from sim.studies.cost.plan import SOLVED
-from sim.studies.cost.reference import MARGIN, ReferenceError
+from sim.studies.cost.reference import MARGIN, Reference, ReferenceError, refuse
 from sim.studies.cost.study import cost
-from sim.studies.cost.trace import Case, run
+from sim.studies.cost.trace import Case, Trace, run
+from sim.studies.cost.verdict import verdict
 from sim.studies.cost.workers import workers
 from tests.worlds import grid, scene
 
@@ -81,6 +86,14 @@ def test_a_reference_that_is_too_coarse_is_refused(swing, finer):
         cost(swing, seconds=0.2, effort=FEW, jobs=1, finer=finer)
 
 
+def test_a_refusal_is_of_a_look_that_could_have_been_used_and_names_both_numbers():
+    """A floor that is good enough at one look alone is no reference, and is not told as one."""
+    floor, smallest = np.array([0.0, 1e-6, 4e-4, 9e-4]), np.array([0.0, 2e-5, 1e-3, 1.5e-3])
+    seen = Trace(np.arange(4) / 10, *[None] * 10)
+    error = refuse(Reference(seen, 1e-3, floor, {}), [smallest], 3, 2)
+    assert "known to 4.0e-04 at 0.2 s, where the smallest error is 1.0e-03; expected a tenth" in str(error)
+
+
 def test_a_scene_on_which_every_method_is_exact_is_refused():
     falls = scene(grid(size=(0.3, 0.3), resolution=(3, 3)), gravity=[0, 0, -9.81], contact="none")
     effort = planning.Effort(1, 0, ("bdf2", "sdirk2"), 1, 1, 0, 0, math.inf)
@@ -105,9 +118,18 @@ def test_the_recommendation_is_the_cheapest_run_that_meets_the_target(report):
     assert report.verdict.error <= report.verdict.target
     assert report.verdict.ms == min(r.ms for r in fit)
     assert report.verdict.pays == pytest.approx(report.runs[0].ms / report.verdict.ms)
+
+
+def test_the_block_in_place_of_the_scenes_settings_gives_the_recommended_run_and_what_was_overridden(report):
+    """TOML has no two tables of one name: without the scene's own settings no block could be pasted."""
+    best = next(r for r in report.runs if r.ms == report.verdict.ms)
+    assert report.chosen.gamma == 0.05
     pasted = sim.load_scene({"cloth": grid(), **tomllib.loads(report.verdict.toml)})
-    for name, value in report.verdict.settings.items():
-        assert getattr(pasted.settings, name) == value
+    assert pasted.settings == best.settings
+    elsewhere = msgspec.structs.replace(best, settings=change(best.settings, friction=0.7))
+    other = verdict(elsewhere, [elsewhere], [], 1e-3)
+    assert tomllib.loads(other.toml)["settings"]["friction"] == 0.7
+    assert other.settings == elsewhere.changed
 
 
 def test_sources_turn_one_knob_each_and_the_step_dominates_a_long_step(report):
@@ -176,6 +198,20 @@ def test_a_step_that_fails_ends_a_run_with_its_reason_and_keeps_what_was_seen(sw
     trace = run(case)
     assert "velocity of vertex" in trace.stopped
     assert 1 <= len(trace) < 31
+
+
+def test_what_a_simulation_builds_at_its_first_step_is_no_part_of_what_its_steps_cost(monkeypatch, swing):
+    class Builds(sim.Simulation):
+        built = False
+
+        def step(self):
+            if not self.built:
+                time.sleep(0.2)
+                self.built = True
+            return super().step()
+
+    monkeypatch.setattr(traces, "Simulation", Builds)
+    assert run(Case(swing, {}, 1 / 60, 3)).ms.sum() < 200.0
 
 
 def test_work_is_summed_and_depth_is_the_largest_between_looks(landing):
