@@ -26,7 +26,7 @@ PATIENCE = 0.7
 FIGURES_EVERY = 0.1
 """Wall time [s] for which energies and momenta are good while time runs: nobody reads them more often."""
 
-SHARE = 0.005
+SHARE = 0.0025
 """Of wall time, that counting what crosses may take while time runs."""
 
 

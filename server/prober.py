@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SHARE = 0.01
-"""Of the time of steps that probes may take: of one cloth of a thousand vertices, one in some 10 s of it.
+SHARE = 0.0075
+"""Of the time of steps that probes may take: of one cloth of a thousand vertices, one in some 14 s of it.
 
 With ledger, words of effects, crossings and figures all stays below 5 %, which a benchmark measures."""
 
