@@ -54,6 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
         complain(error)
         return 1
     except KeyboardInterrupt:
+        complain("ended by Ctrl-C")
         return 130
 
 

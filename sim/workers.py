@@ -9,6 +9,7 @@ import concurrent.futures
 import contextlib
 import multiprocessing
 import os
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -23,14 +24,19 @@ CONNECT = "10s"
 
 @contextlib.contextmanager
 def local_pool(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
-    """A pool of `jobs` processes; who leaves early, with Ctrl-C say, waits for nothing that nobody began."""
+    """A pool of `jobs` processes; who leaves early, with Ctrl-C say, ends them in the midst of what they do."""
+    others = set(multiprocessing.active_children())
     with _one_thread_each():
         fresh = multiprocessing.get_context("spawn")  # a fork would inherit threads, and thereby their locks
-        pool = concurrent.futures.ProcessPoolExecutor(jobs, mp_context=fresh)
+        # Ctrl-C in a terminal goes to all processes of a command: to end these is up to the first of them.
+        leave_it = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        pool = concurrent.futures.ProcessPoolExecutor(jobs, fresh, *leave_it)
         try:
             yield pool
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
             raise
         pool.shutdown()
 

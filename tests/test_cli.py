@@ -322,3 +322,8 @@ def test_a_run_tells_the_share_of_every_effect(tmp_path, capsys):
         "why": "nothing of it is computed",
     }
     assert "stretch [part of the step, median]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["cost", "compare", "audit", "study"])
+def test_help_has_no_default_that_is_nothing(command):
+    assert "(default: '')" not in muslin(command, "--help").stdout

@@ -18,6 +18,9 @@ from sim.scene import Scene, load_scene
 T = TypeVar("T")
 Texts = tuple[str, ...]
 SceneName = Annotated[str, Positional, arg(metavar="SCENE")]
+SceneOrSchema = Annotated[
+    str, Positional, arg(metavar="SCENE", help_behavior_hint="(required, but for --schema)")
+]
 Overrides = Annotated[UseAppendAction[tuple[Texts, ...]], arg(name="set", metavar="NAME=VALUE ...")]
 Inline = Annotated[T, OmitArgPrefixes, arg(name="")]
 

@@ -13,7 +13,7 @@ from server.commands.options import (
     FilesAndPlots,
     Inline,
     Overrides,
-    SceneName,
+    SceneOrSchema,
     Workers,
     command_of,
     parse_values,
@@ -30,7 +30,7 @@ Progress = Callable[[float, str], None]
 class Cost:
     """Measure what accuracy costs on a scene: error against time for many settings, and which to take."""
 
-    scene: SceneName = ""
+    scene: SceneOrSchema = ""
     """A scene file, or one of `muslin scenes`."""
     seconds: float = 1.0
     """Time to simulate [s]; positions are compared for as long as that means something."""
@@ -72,9 +72,9 @@ class Cost:
 class Compare:
     """Run a scene under several values of one setting, and say what each costs and how wrong it is."""
 
-    scene: SceneName = ""
+    scene: SceneOrSchema = ""
     """A scene file, or one of `muslin scenes`."""
-    by: Annotated[str, arg(metavar="NAME=A,B,C")] = ""
+    by: Annotated[str, arg(metavar="NAME=A,B,C", help_behavior_hint="(of the scene)")] = ""
     """The setting and its values, such as contact=penalty,impulse; what the scene compares if left out."""
     seconds: float = 1.0
     """Time to simulate [s]; errors are told for as long as that means something."""
@@ -110,7 +110,7 @@ class Compare:
 class Audit:
     """Leave out each effect of a scene in turn: which it needs, what each one costs and changes."""
 
-    scene: SceneName = ""
+    scene: SceneOrSchema = ""
     """A scene file, or one of `muslin scenes`."""
     seconds: float = 1.0
     """Time to simulate [s]."""
@@ -151,7 +151,7 @@ def _measured(asked: Cost | Compare | Audit, measure: Callable[[Progress], Repor
 class Study:
     """Run a study: what a scene shows, measured; without a name, list them."""
 
-    study: Annotated[str, Positional, arg(metavar="STUDY")] = ""
+    study: Annotated[str, Positional, arg(metavar="STUDY", help_behavior_hint="(optional)")] = ""
     """One of `muslin study`."""
     files: Inline[Files] = field(default_factory=Files)
 
