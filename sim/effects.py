@@ -114,11 +114,11 @@ TOLD_BESIDES = {
 COLLISIONS = ("self_collision", "cloth_collision")
 """Effects whose pairs are of cloth and cloth."""
 
-NO_OBSTACLES, NO_TRIANGLES = "skipped: there are none", "skipped: no triangles"
+NONE_THERE, NO_TRIANGLES = "skipped: there are none", "skipped: no triangles"
 SPREAD_OUT = "skipped: cloth is spread out, no part of it is behind another"
 ONE_PIECE, ALONE = "skipped: there is one piece", "skipped: there is nothing to meet"
-SLACK = "skipped: their stiffness is zero"
-NEVER = (NO_OBSTACLES, NO_TRIANGLES, ONE_PIECE, ALONE, SLACK)
+SLACK, UNDAMPED = "skipped: their stiffness is zero", "skipped: no springs act"
+NEVER = (NONE_THERE, NO_TRIANGLES, ONE_PIECE, ALONE, SLACK, UNDAMPED)
 """What is said of an effect that no step has anything for; for how many steps says nothing then."""
 
 CHOICES = ("auto", "on", "off")
@@ -348,6 +348,8 @@ class Told:
         found = dict.fromkeys(chosen.effects, "ran")
         for springs in model.springs:
             found[SPRINGS[springs.kind.stiffness]] = _springs(springs, report)
+        if not any(springs.acts for springs in model.springs):
+            found["damping"] = UNDAMPED
         found["obstacles"] = _obstacles(settings, report, obstacles)
         for label in obstacles:
             found[OBSTACLE + label] = _obstacle(settings, report, label)
@@ -399,10 +401,8 @@ def _why_off(effect: Effect) -> str:
 
 
 def _springs(springs: Springs, report: StepReport) -> str:
-    if not springs.acts:
-        return SLACK
-    words = "ran"
-    if springs.kind.wrong:
+    words = "ran" if springs.acts else SLACK if len(springs.stencil) else NONE_THERE
+    if springs.kind.wrong and springs.acts:
         words = f"ran, wrong on purpose: {springs.kind.wrong}"
     if springs.kind.switch and report.energy_jumps:
         words += f"; {report.energy_jumps} taken up or left, which put in {report.energy_jump:.2g} J"
@@ -478,7 +478,7 @@ def _obstacles(settings: Settings, report: StepReport, obstacles: Sequence[str])
     if settings.contact == "none":
         return "off: contact is none"
     if not obstacles:
-        return NO_OBSTACLES
+        return NONE_THERE
     near = sum(_near(report, label) for label in obstacles)
     if not near:
         return "skipped: none within reach"

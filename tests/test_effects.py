@@ -383,6 +383,33 @@ def test_springs_that_are_given_stiffness_while_running_start_from_where_the_clo
     assert woken.energy()["altitude"] == fresh.energy()["altitude"] > 0.0
 
 
+def test_what_was_felt_in_one_part_of_a_step_is_not_called_skipped_as_the_last_part_is_free_of_it():
+    """A mesh that jumps through a sheet within a step, which is done in parts: the last list has no edges."""
+    leap = [{"time": 0.0, "position": [0, 0, 0.3]}, {"time": 0.01, "position": [0, 0, -3.0]}]
+    thin = {"vertices": [[-0.3, 0, 0], [0.3, 0, 0], [0, 0.3, 0.2]], "triangles": [[0, 1, 2]], "name": "mesh"}
+    world = sim.Simulation(
+        scene(grid((0.4, 0.4), (7, 7)), {**thin, "motion": "linear", "path": leap}, dt=0.01)
+    )
+    report = world.step()
+    assert report.substeps > 1
+    assert {"edge_edge", "obstacle mesh"} <= report.felt.keys()
+    for name in report.felt:
+        assert report.effects[name].startswith("ran"), name
+
+
+def test_springs_that_a_chain_has_none_of_are_skipped_and_nobody_calls_a_kernel_of_theirs(monkeypatch):
+    world = sim.Simulation(scene(chain([[0, 0, 0], [0.1, 0, 0]], [0.1, 0.1], pins=[0]), bend="angle"))
+    bending = next(springs for springs in world.model.springs if springs.name == "angle")
+    monkeypatch.setattr(bending, "coordinate", None)  # which would be called
+    words = [world.step().effects for _ in range(2)][-1]
+    assert (words["stretch"], words["bending"]) == ("ran", "skipped: there are none")
+
+
+def test_damping_of_no_springs_is_skipped():
+    words = sim.Simulation(scene(LOW, stretch=0.0, bend="none")).step().effects
+    assert words["damping"] == "skipped: no springs act"
+
+
 def test_obstacles_that_are_off_are_gone_through():
     made = scene(grid(position=[0, 0, 0.31]), ball(radius=0.3), gravity=[0, 0, -9.81])
     felt, gone = sim.Simulation(made), sim.Simulation(made, obstacles="off")

@@ -62,14 +62,14 @@ class Detectors:
         self.pairs = pairs = self._pairs_for(settings)
         if pairs is not None:
             pairs.lists = pairs.looks = pairs.sweeps = pairs.asked = 0
-            pairs.reached[:], pairs.felt[:], pairs.outspread = False, 0, False
+            pairs.looked[:], pairs.felt[:], pairs.outspread = 0, 0, False
 
     def tell(self, report: StepReport) -> None:
         """Say what the step looked for."""
         if (pairs := self.pairs) is not None:
             report.lists, report.looks, report.sweeps = pairs.lists, pairs.looks, pairs.sweeps
             report.felt, report.outspread = self._by_effect(pairs.felt), pairs.outspread
-            report.looked = self._by_effect(np.where(pairs.reached, pairs.counts, 0))
+            report.looked = self._by_effect(pairs.looked)
 
     @property
     def many(self) -> bool:

@@ -96,8 +96,8 @@ class Pairs:
         sweeps: How often it was looked whether they meet.
         listing: Time that lists took [s], added up.
         asked: Times a pair was asked whether it meets; for whoever takes a whole step to set to zero.
-        reached: (parts, 2) bool, with what partners, and of which kind, bounds could not show that all pairs
-            are out of reach; for whoever takes a whole step to set to False.
+        looked: (parts, 2) how many pairs were on the longest list, by partner and kind, that bounds could not
+            show to be all out of reach; for whoever takes a whole step to set to zero.
         outspread: Whether the proof of `sim.contact.outspread` stood in for a list; for whoever takes a whole
             step to set to False.
         felt: (parts, 2) how many pairs were found to be near or to meet, added up; for whoever takes a whole
@@ -135,7 +135,7 @@ class Pairs:
             self._surface, tree, np.concatenate([free, moves]), outside | (own > 0), self._piece, own
         )
         self._parts = PARTS + int(solid.part.max(initial=-1)) + 1
-        self.reached, self.felt = np.zeros((self._parts, 2), bool), np.zeros((self._parts, 2), np.int64)
+        self.looked, self.felt = (np.zeros((self._parts, 2), dtype=np.int64) for _ in range(2))
         ends = mesh.rest_vertices[mesh.edges] if len(mesh.edges) else solid.vertices[solid.edges]
         self.edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
         alone = feels.within and not feels.between and not len(solid.vertices)
@@ -304,7 +304,7 @@ class Pairs:
         The bounds of all the others' pairs are those by which `measure` and `meet` pass over each of them.
         """
         near = ~(self._least * (1.0 - MARGIN) - self._strayed > reach) | self.exhaustive
-        self.reached |= near & (self.counts > 0)
+        self.looked = np.maximum(self.looked, np.where(near, self.counts, 0))
 
     def _count(self, pairs: Candidates, which: np.ndarray) -> None:
         np.add.at(self.felt, (self._part[which], pairs.kind[which]), 1)

@@ -58,8 +58,8 @@ class Springs:
 
     @property
     def acts(self) -> bool:
-        """Whether there is any stiffness: where there is none, nothing needs to be known of them."""
-        return self.value > 0.0
+        """Whether there are any, of some stiffness: where not, nothing needs to be known of them."""
+        return self.value > 0.0 and len(self.stencil) > 0
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate q and its gradient at `positions` (n, 3) [m], unless they are known there."""
