@@ -24,7 +24,7 @@ CONNECT = "10s"
 
 @contextlib.contextmanager
 def local_pool(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
-    """A pool of `jobs` processes; who leaves early, with Ctrl-C say, ends them in the midst of what they do."""
+    """A pool of `jobs` processes; who leaves early, with Ctrl-C say, ends them in the midst of it."""
     others = set(multiprocessing.active_children())
     with _one_thread_each():
         fresh = multiprocessing.get_context("spawn")  # a fork would inherit threads, and thereby their locks
