@@ -298,11 +298,11 @@ class _Audit:
 
     def _toml(self, left: Sequence[str], whole: float, ms: float, apart: float) -> str:
         """The recommended block of a scene file, with its figures in a comment."""
-        about = f"{self.steps * self.settings.dt:.3g} s, tolerance {100 * self.tolerance:g} %"
+        about = f"# audit over {self.steps * self.settings.dt:.3g} s, tolerance {100 * self.tolerance:g} %:"
         if not left:
-            return f"# audit over {about}: every effect that runs is needed\n[effects]\n"
-        figures = f"{whole:.3g} to {ms:.3g} ms per step, moves the cloth by {100 * apart:.2g} %"
-        return f"# audit over {about}: {figures}\n" + tomli_w.dumps({"effects": dict.fromkeys(left, "off")})
+            return f"{about}\n# every effect that runs is needed\n[effects]\n"
+        figures = f"# {whole:.3g} to {ms:.3g} ms per step, moves the cloth by {100 * apart:.2g} %"
+        return f"{about}\n{figures}\n" + tomli_w.dumps({"effects": dict.fromkeys(left, "off")})
 
 
 def _trimmed(values: np.ndarray) -> np.ndarray:

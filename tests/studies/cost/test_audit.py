@@ -82,7 +82,10 @@ def test_costs_are_told_between_steps_of_the_same_moment_and_how_noisy_they_are(
 
 
 def test_the_recommended_block_loads_and_says_what_it_was_measured_with(audited):
-    assert audited.toml.startswith("# audit over 0.15 s, tolerance 1 %: ")
+    assert audited.toml.startswith("# audit over 0.15 s, tolerance 1 %:\n# ")
+    assert max(map(len, audited.toml.splitlines())) < 80, (
+        "a terminal would break a comment, which then is none"
+    )
     import tomllib
 
     table = tomllib.loads(audited.toml)
