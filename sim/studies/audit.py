@@ -21,7 +21,7 @@ import numpy as np
 import tomli_w
 
 from sim.bench.hardware import hardware, versions
-from sim.effects import State, chosen, effects_with, state, switch
+from sim.effects import NEVER, State, chosen, effects_with, state, switch
 from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
@@ -249,11 +249,17 @@ class _Audit:
         return float(-more if self.now[name] == "off" else more)
 
     def _noise(self) -> float:
-        """How far costs are off, as part of a step: by what two runs of the same steps differ in time."""
+        """How far costs are off, as part of a step: by what two runs of the same steps differ in time.
+
+        Or by what effects seem to cost that no step has anything for, if that is more.
+        """
         first, last = (np.array([ms for way in ways for ms in way.ms]) for ways in (self.base, self.again))
         apart = _trimmed(first - last)
         spread = 2.0 * float(apart.std()) / math.sqrt(len(apart))
-        return max(abs(float(apart.mean())), spread) / float(_trimmed(first).mean())
+        reports = [report for way in self.base for report in way.reports]
+        void = [name for name in self.effects if all(report.effects[name] in NEVER for report in reports)]
+        own = max(abs(float(apart.mean())), spread) / float(_trimmed(first).mean())
+        return max(own, *(abs(self._share(name)) for name in void), 0.0)
 
     def _effect(self, name: str) -> AuditedEffect:
         seen, reports = self.seen[name], [report for way in self.base for report in way.reports]
@@ -322,7 +328,8 @@ NOTES = (
     "out of something; it is below the numerical error where it changes less than one in all of them.",
     "The cost of an effect is that of a step as things are less that of one without it at the same moment, "
     "so that what it adds to the solver's work counts, too. Its noise is what the same steps, made twice, "
-    "differ by: a cost that is smaller, or negative by so much, says nothing.",
+    "differ by, or what effects seem to cost that there is nothing for (obstacles where there are none): a "
+    "cost that is smaller, or negative by so much, says nothing.",
     "Recommended to be off is what ran and changes less than the tolerance, all of it together over the "
     "whole run; what never ran is left to auto, which goes on watching for it, for the scene may change.",
 )
