@@ -255,7 +255,7 @@ class Pairs:
         of them that would have gone farther.
         """
         way = self._start, np.concatenate([end, self._after])
-        pairs = self._holding(way) or self._renewed(way)
+        pairs = self._renewed(way)  # how far all others are must not depend on what an older list has of them
         self._note(np.inf)
         self._look(pairs)
         least, node = np.full(len(self._start), np.inf), pairs.node
