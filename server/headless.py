@@ -18,7 +18,7 @@ from rich.table import Table
 import sim
 from server.commands.speech import complain
 from server.digits import share_text
-from sim.effects import cost
+from sim.effects import cost, does
 from sim.export import Recording, check_outputs, check_size, save_json
 from sim.scene import Scene
 from sim.settings import convert
@@ -154,6 +154,7 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
         "energy_jumps": sum(report.energy_jumps for report in reports),
         "momentum": {"linear": linear.tolist(), "angular": angular.tolist()},
         "effects": reports[-1].effects if reports else {},
+        "does": {name: does(name) for name in (reports[-1].effects if reports else ())},
         "shares": {name: _share(name, reports) for name in (reports[-1].effects if reports else ())},
     }
 

@@ -11,7 +11,7 @@ import numpy as np
 from sim.given import FARTHEST, SMALLEST
 from sim.meshclaims import declared_counts, mesh_bytes, mesh_path
 from sim.meshparse import Arrays, parse
-from sim.repair import repair_triangles, used_vertices
+from sim.repair import counted, repair_triangles, used_vertices
 
 HUGE = 100.0
 """Cloth larger than this [m] is possible, but most likely measured in millimetres."""
@@ -38,7 +38,7 @@ def read_mesh(file: str, folder: str, scale: float = 1.0) -> tuple[np.ndarray, n
     suffix = path.suffix.lower()
     try:
         declared_counts(data, suffix)
-        vertices, triangles = parse(data, suffix)
+        vertices, triangles, polygons = parse(data, suffix)
         _check_indices(vertices, triangles)
         with np.errstate(over="ignore"):  # what is too far away is refused below
             vertices = vertices * scale
@@ -49,6 +49,8 @@ def read_mesh(file: str, folder: str, scale: float = 1.0) -> tuple[np.ndarray, n
         if len(triangles) == 0:
             raise ValueError("expected triangles, got none with an area")
         vertices, triangles, left_out = used_vertices(vertices, triangles)
+        if polygons:
+            warnings.insert(0, f"cut {counted(polygons, 'polygon')} into triangles")
         return vertices, triangles.astype(np.int32), _size_warnings(vertices) + warnings + left_out
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None

@@ -2,7 +2,8 @@
 
 Our own, as a file may be anybody's: each reads once from front to end, makes nothing larger than the file,
 takes no number for another, and says which line or row is wrong. A file that ends too soon is refused.
-Materials, colours, normals and texture coordinates are left; polygons become fans of triangles.
+Materials, colours, normals and texture coordinates are left; polygons become fans of triangles,
+and are counted.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from sim.scene import MAX_VERTICES
 
 Arrays = tuple[np.ndarray, np.ndarray]
 
+Read = tuple[Any, Any, int]
+"""Vertices, triangles, and how many faces with more corners were cut into such."""
+
 SHOWN = 60
 """Characters of a line that a message shows."""
 
@@ -28,15 +32,19 @@ LONGEST = 2_000_000
 CORNERS = "three or more vertex numbers"
 
 
-def parse(data: bytes, suffix: str) -> Arrays:
-    """(n, 3) float64 vertices in units of the file and (m, 3) int64 triangles, whose numbers may be any.
+def parse(data: bytes, suffix: str) -> tuple[np.ndarray, np.ndarray, int]:
+    """What a file has.
+
+    Returns:
+        (n, 3) float64 vertices in units of the file, (m, 3) int64 triangles, whose numbers may be any, and of
+        how many faces with more corners some of these are.
 
     Raises:
         ValueError: one line that says what is wrong, and where.
     """
-    vertices, triangles = _READERS[suffix](data)
+    vertices, triangles, polygons = _READERS[suffix](data)
     points = np.array(vertices, dtype=float).reshape(-1, 3)
-    return points, np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    return points, np.array(triangles, dtype=np.int64).reshape(-1, 3), polygons
 
 
 class _Lines:
@@ -87,11 +95,29 @@ def _point(words: list[str]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _fan(corners: Sequence[int]) -> list[tuple[int, int, int]]:
-    """The triangles of a polygon; ValueError for fewer than three corners."""
-    if len(corners) < 3:
-        raise ValueError
-    return [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+class _Faces:
+    """Faces as they are read.
+
+    Attributes:
+        triangles: Of all of them.
+        polygons: How many had more than three corners.
+    """
+
+    def __init__(self) -> None:
+        self.triangles: list[tuple[int, int, int]] = []
+        self.polygons = 0
+
+    def add(self, corners: Sequence[int]) -> None:
+        """Take in one as a fan of triangles; ValueError for fewer than three corners."""
+        if len(corners) < 3:
+            raise ValueError
+        self.triangles += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+        self.polygons += len(corners) > 3
+
+    def check_number(self) -> None:
+        """Refuse more triangles than anybody has use for."""
+        if len(self.triangles) > MAX_TRIANGLES:
+            raise ValueError(f"expected at most {MAX_TRIANGLES:,} triangles, got more")
 
 
 def _index(word: str) -> int:
@@ -102,25 +128,20 @@ def _index(word: str) -> int:
     return index
 
 
-def _at_most(triangles: list) -> None:
-    if len(triangles) > MAX_TRIANGLES:
-        raise ValueError(f"expected at most {MAX_TRIANGLES:,} triangles, got more")
-
-
-def _read_obj(data: bytes) -> tuple[list, list]:
+def _read_obj(data: bytes) -> Read:
     vertices: list[tuple[float, float, float]] = []
-    triangles: list[tuple[int, int, int]] = []
+    faces = _Faces()
     lines = _Lines(data, comment=b"#")
     for words in lines:
         try:
             if words[0] == "v":
                 vertices.append(_point(words[1:4]))
             elif words[0] == "f":
-                triangles += _fan([_obj_index(word, len(vertices)) for word in words[1:]])
+                faces.add([_obj_index(word, len(vertices)) for word in words[1:]])
         except ValueError:
             raise lines.wrong("three numbers" if words[0] == "v" else CORNERS, words) from None
-        _at_most(triangles)
-    return vertices, triangles
+        faces.check_number()
+    return vertices, faces.triangles, faces.polygons
 
 
 def _obj_index(word: str, count: int) -> int:
@@ -131,9 +152,9 @@ def _obj_index(word: str, count: int) -> int:
     return index - 1 if index > 0 else count + index
 
 
-def _read_off(data: bytes) -> tuple[list, list]:
+def _read_off(data: bytes) -> Read:
     vertices: list[tuple[float, float, float]] = []
-    triangles: list[tuple[int, int, int]] = []
+    faces = _Faces()
     lines = _Lines(data, comment=b"#")
     rows = iter(lines)
     counts = next(rows)[1:] or next(rows)  # beside OFF or below; what they claim has been looked at
@@ -147,15 +168,15 @@ def _read_off(data: bytes) -> tuple[list, list]:
         elif left:
             left -= 1
             try:
-                triangles += _fan(_listed(words, 0)[0])
+                faces.add(_listed(words, 0)[0])
             except ValueError:
                 raise lines.wrong(f"how many corners, and {CORNERS}", words) from None
-            _at_most(triangles)
+            faces.check_number()
         else:
             break
     if len(vertices) < int(counts[0]) or left:
         raise ValueError(f"expected {counts[0]} vertices and {counts[1]} faces, but it ends before")
-    return vertices, triangles
+    return vertices, faces.triangles, faces.polygons
 
 
 def _listed(words: list[str], at: int) -> tuple[list[int], int]:
@@ -167,12 +188,12 @@ def _listed(words: list[str], at: int) -> tuple[list[int], int]:
     return [_index(word) for word in words[at + 1 : end]], end
 
 
-def _read_stl(data: bytes) -> tuple[Any, Any]:
+def _read_stl(data: bytes) -> Read:
     """Three vertices for each triangle, as the file has them."""
     if (faces := binary_stl_faces(data)) is not None:
         row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
         corners: Any = np.frombuffer(data, row, faces, 84)["corners"]
-        return corners, np.arange(3 * faces)
+        return corners, np.arange(3 * faces), 0
     if not data.lstrip().lower().startswith(b"solid"):
         claimed = int.from_bytes(data[80:84], "little")
         raise ValueError(
@@ -192,10 +213,10 @@ def _read_stl(data: bytes) -> tuple[Any, Any]:
             whole += 3
     if last not in {"endsolid", "endfacet"}:
         raise lines.wrong("endsolid at its end", words)
-    return corners, np.arange(whole)
+    return corners, np.arange(whole), 0
 
 
-def _read_ply(data: bytes) -> tuple[Any, Any]:
+def _read_ply(data: bytes) -> Read:
     encoding, elements, body = ply_header(data)
     named = {element.name: element for element in elements}
     for name in ("vertex", "face"):
@@ -203,7 +224,7 @@ def _read_ply(data: bytes) -> tuple[Any, Any]:
             raise ValueError(f"expected an element {name}, got {', '.join(named) or 'none'}")
     axes, corners = [_place(named["vertex"], axis) for axis in "xyz"], _corners(named["face"])
     vertices: list[list[float]] = []
-    triangles: list[tuple[int, int, int]] = []
+    faces = _Faces()
     for element, k, row in (_ascii_rows if encoding == "ascii" else _binary_rows)(
         data, body, elements, encoding
     ):
@@ -211,11 +232,11 @@ def _read_ply(data: bytes) -> tuple[Any, Any]:
             vertices.append([row[axis] for axis in axes])
         elif element == "face":
             try:
-                triangles += _fan(row[corners])
+                faces.add(row[corners])
             except ValueError:
                 raise ValueError(f"face {k}: expected {CORNERS}, got {list(row[corners])}") from None
-            _at_most(triangles)
-    return vertices, triangles
+            faces.check_number()
+    return vertices, faces.triangles, faces.polygons
 
 
 def _place(element: Element, name: str) -> int:
@@ -314,7 +335,7 @@ def _reader(known: Property, order: str) -> Callable[[bytes, int], tuple[Any, in
     return read
 
 
-_READERS: dict[str, Callable[[bytes], tuple[Any, Any]]] = {
+_READERS: dict[str, Callable[[bytes], Read]] = {
     ".obj": _read_obj,
     ".ply": _read_ply,
     ".stl": _read_stl,

@@ -40,7 +40,7 @@ def used_vertices(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarr
     if not left_out:
         return vertices, triangles, []
     number = np.cumsum(used) - 1
-    warning = f"left out {_count(left_out, 'vertex', 'vertices')} that no triangle uses{PINS}"
+    warning = f"left out {counted(left_out, 'vertex', 'vertices')} that no triangle uses{PINS}"
     return vertices[used], number[triangles], [warning]
 
 
@@ -66,12 +66,12 @@ def wound_alike(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
     # Ties keep the half of the part's first triangle, which has the smaller label.
     outvoted = (votes[as_is] < votes[turned]) | ((votes[as_is] == votes[turned]) & (turned < as_is))
     flip = outvoted & ~one_sided
-    warnings = (
-        [f"turned {_count(int(flip.sum()), 'triangle')} round so that neighbours agree"] if flip.any() else []
-    )
+    warnings = []
+    if flip.any():
+        warnings.append(f"turned {counted(int(flip.sum()), 'triangle')} round so that neighbours agree")
     if one_sided.any():
         parts = len(np.unique(as_is[one_sided]))
-        warnings.append(f"{_count(parts, 'one-sided part')} cannot be wound alike; its seam does not bend")
+        warnings.append(f"{counted(parts, 'one-sided part')} cannot be wound alike; its seam does not bend")
     return np.where(flip[:, None], triangles[:, ::-1], triangles), warnings
 
 
@@ -100,7 +100,7 @@ def _without_duplicates(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np
 
 def _kept(triangles: np.ndarray, keep: np.ndarray, one: str, many: str = "") -> tuple[np.ndarray, list[str]]:
     left_out = int((~keep).sum())
-    warnings = [f"left out {_count(left_out, one, many)}"] if left_out else []
+    warnings = [f"left out {counted(left_out, one, many)}"] if left_out else []
     return (triangles[keep] if left_out else triangles), warnings
 
 
@@ -132,5 +132,6 @@ def connected(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
             label = shorter
 
 
-def _count(n: int, one: str, many: str = "") -> str:
+def counted(n: int, one: str, many: str = "") -> str:
+    """`n` and what there are so many of."""
     return f"{n:,} {one if n == 1 else many or one + 's'}"

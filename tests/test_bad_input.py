@@ -149,7 +149,7 @@ MENDED = {
     "unreferenced vertex": (b"f 1 2 3\nf 1 3 4\nv 9 9 9\n", "left out 1 vertex that no triangle uses"),
     "inconsistent winding": (b"f 1 2 3\nf 1 4 3\n", "turned 1 triangle round"),
     "face without area": (b"f 1 2 3\nf 1 3 4\nf 1 1 2\n", "left out 1 triangle without area"),
-    "polygon": (b"f 1 2 3 4\n", ""),
+    "polygon": (b"f 1 2 3 4\n", "cut 1 polygon into triangles"),
 }
 
 

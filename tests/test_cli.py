@@ -12,6 +12,7 @@ import sim
 from server.cli import main
 from server.commands.options import parse_settings, scene_and_settings
 from server.commands.scenes import count_vertices
+from sim.effects import find_effect
 from sim.mesh import build_mesh
 from sim.scene import load_scene, scene_files
 from sim.simulation import StepError
@@ -312,7 +313,8 @@ def test_a_run_tells_the_share_of_every_effect(tmp_path, capsys):
     file = tmp_path / "numbers.json"
     assert main(["run", "oscillator", "--seconds", "0.1", "--json", str(file)]) == 0
     written = json.loads(file.read_text())
-    assert written["shares"].keys() == written["effects"].keys()
+    assert written["shares"].keys() == written["does"].keys() == written["effects"].keys()
+    assert written["does"]["gravity"] == find_effect("gravity").changes
     assert all(share["why"] and share["text"] for share in written["shares"].values())
     assert written["shares"]["stretch"]["ms"] > 0.0
     assert written["shares"]["wind"] == {

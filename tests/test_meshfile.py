@@ -115,7 +115,8 @@ def test_obj_faces_may_be_written_in_many_ways(tmp_path, faces):
 def test_polygons_become_triangles_in_every_format_that_has_them(tmp_path):
     rows = b"0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
     for name, data in (("m.off", b"OFF\n4 1 0\n" + rows), ("m.ply", PLY % (4, 1) + rows)):
-        vertices, triangles, _ = read_mesh(*write(tmp_path, name, data))
+        vertices, triangles, warnings = read_mesh(*write(tmp_path, name, data))
+        assert warnings == ["cut 1 polygon into triangles"]
         corners = vertices[triangles]
         area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2].sum()
         assert len(triangles) == 2

@@ -123,7 +123,8 @@ def test_the_page_begins_with_what_to_do_and_escapes_what_was_typed(written, rep
 def test_a_terminal_ends_with_what_to_do_and_the_block_to_paste(reports):
     for study in ("cost", "audit"):
         block = pages.result(reports[study]).notes[-1]
-        assert block.splitlines()[1] in ("[settings]", "[effects]")
+        table = next(line for line in block.splitlines() if not line.startswith("#"))
+        assert table in ("[settings]", "[effects]")
     assert pages.result(reports["cost"]).notes[-2] == reports["cost"].verdict.sentence
 
 
