@@ -461,6 +461,27 @@ class Pair:
         return report
 
 
+def test_what_is_held_back_goes_as_far_whatever_list_there_was():
+    """A spinning ring that is wound one and a half times, so that its layers cannot come apart."""
+    random, along, across = np.random.default_rng(4), 25, 4
+    turn, radius = np.meshgrid(
+        np.linspace(0, 3 * np.pi, along), np.linspace(0.15, 0.2, across), indexing="ij"
+    )
+    flat = np.stack(
+        [radius * np.cos(turn), radius * np.sin(turn), random.normal(0, 1e-4, turn.shape)], axis=2
+    )
+    corner = np.arange(along * across).reshape(along, across)
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[:-1, 1:], corner[1:, 1:]
+    triangles = np.concatenate([np.stack(t, axis=2).reshape(-1, 3) for t in ((a, b, c), (c, b, d))])
+    ring = {"vertices": flat.reshape(-1, 3).tolist(), "triangles": triangles.tolist()}
+    about = {"dt": 0.01, "thickness": 6e-4, "tangled": "keep", "self_collision": "auto", "stretch": 100.0}
+    pair = Pair(scene([ring], **about))
+    x = pair.auto.positions
+    spin = np.cross([-60.0, 30.0, 100.0], x - x.mean(axis=0))
+    pair.auto.place(x, spin + random.normal(0, 0.02, x.shape))
+    assert sum(pair.step().held_back for _ in range(6)) > 100
+
+
 @pytest.mark.parametrize("name", [path.stem for path in scene_files()])
 def test_auto_gives_the_bits_of_on_in_every_scene(name):
     """Every twelfth step of the first while, each compared with one that looks at everything."""
