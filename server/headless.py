@@ -133,6 +133,7 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
     ms = {name: median(report.ms.get(name, 0.0) for report in reports) for name in phases}
     dt = world.settings.dt
     linear, angular = world.momentum()
+    effects = reports[-1].effects if reports else {}
     return {
         "scene": world.scene.name,
         "version": sim.__version__,
@@ -153,9 +154,9 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
         "energy_injected": sum(report.energy_injected for report in reports),
         "energy_jumps": sum(report.energy_jumps for report in reports),
         "momentum": {"linear": linear.tolist(), "angular": angular.tolist()},
-        "effects": reports[-1].effects if reports else {},
-        "does": {name: does(name) for name in (reports[-1].effects if reports else ())},
-        "shares": {name: _share(name, reports) for name in (reports[-1].effects if reports else ())},
+        "effects": effects,
+        "does": {name: does(name) for name in effects},
+        "shares": {name: _share(name, reports) for name in effects},
     }
 
 

@@ -39,7 +39,7 @@ numba.config.SLP_VECTORIZE = int(os.environ["NUMBA_SLP_VECTORIZE"])  # pyright: 
 OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Of every kernel; wrappers for calls from C take time to compile, and nobody calls them."""
 
-# No wrappers for calls from Python either: they would take a tenth of the time of a cold start.
+# No wrappers for calls from Python either: they would take a sixth of the work of a cold start.
 inner = register_jitable(no_cpython_wrapper=True, **OPTIONS)
 unordered = register_jitable(no_cpython_wrapper=True, fastmath={"reassoc"}, **OPTIONS)
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from sim import given
-from sim.refusal import shown
+from sim.refusal import counted, shown
 from sim.repair import connected, repair_triangles
 from sim.rotation import rotation_matrix
 from sim.scene import MAX_VERTICES, Arrays, Equilateral, Grid, MeshFile, Scene, SceneError
@@ -331,7 +331,7 @@ def build_hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, 
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     hinges = np.stack([start[a], end[a], opposite[a], opposite[b]], axis=1).astype(np.int32)
     crowded, odd = int((count > 2).sum()), int((~against).sum())
-    belong, join = (f"{k:,} edge{'s' * (k > 1)}" for k in (crowded, odd))
+    belong, join = (counted(k, "edge") for k in (crowded, odd))
     warnings = [f"{belong} of three or more triangles: no bending there"] if crowded else []
     warnings += [f"{join} of triangles wound against each other: no bending there"] if odd else []
     return hinges, tuple(warnings)

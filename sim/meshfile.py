@@ -11,7 +11,8 @@ import numpy as np
 from sim.given import FARTHEST, SMALLEST
 from sim.meshclaims import declared_counts, mesh_bytes, mesh_path
 from sim.meshparse import Arrays, parse
-from sim.repair import counted, repair_triangles, used_vertices
+from sim.refusal import counted
+from sim.repair import repair_triangles, used_vertices
 
 HUGE = 100.0
 """Cloth larger than this [m] is possible, but most likely measured in millimetres."""

@@ -137,3 +137,8 @@ def shown(value: Any) -> str:
     except ValueError:  # Python writes out no whole number of more than some thousands of digits
         return "a number of thousands of digits"
     return text if len(text) < SHOWN else text[: SHOWN - 3] + "…"
+
+
+def counted(n: int, one: str, many: str = "") -> str:
+    """`n` and what there are so many of."""
+    return f"{n:,} {one if n == 1 else many or one + 's'}"

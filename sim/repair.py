@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim.refusal import counted
+
 NO_AREA = 1e-12
 """Triangles smaller than this share of the squared size of the mesh have no direction to speak of."""
 
@@ -130,8 +132,3 @@ def connected(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         np.minimum.at(label, label[b], low)
         while not np.array_equal(label, shorter := label[label]):
             label = shorter
-
-
-def counted(n: int, one: str, many: str = "") -> str:
-    """`n` and what there are so many of."""
-    return f"{n:,} {one if n == 1 else many or one + 's'}"

@@ -24,7 +24,7 @@ SHAPES = {
 
 
 @compiled
-def DISTANCE(shapes, point):
+def distance_to_first(shapes, point):
     return signed_distance(shape_of(shapes, 0), point)
 
 
@@ -36,7 +36,7 @@ def distance(obstacles, point, time=0.0):
     """Signed distance of a world point to the only obstacle, and its direction in the world."""
     poses = obstacles.poses(time)
     local = poses.rotation[0].T @ (np.asarray(point) - poses.position[0])
-    value, n = DISTANCE(obstacles.shapes, Vec3(*local))
+    value, n = distance_to_first(obstacles.shapes, Vec3(*local))
     return value, poses.rotation[0] @ np.array(n)
 
 

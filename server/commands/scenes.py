@@ -48,6 +48,7 @@ class Check:
     def __call__(self) -> int:
         """Do it and return the exit code."""
         from sim.check import check_scene
+        from sim.refusal import counted
 
         failures = 0
         for name in self.scenes or map(str, scene_files()):
@@ -59,15 +60,10 @@ class Check:
                 continue
             for warning in warnings:
                 say(f"{name}: {warning}")
-            counts = ", ".join(
-                f"{n:,} {one if n == 1 else many}"
-                for n, one, many in (
-                    (len(mesh.vertices), "vertex", "vertices"),
-                    (len(mesh.triangles), "triangle", "triangles"),
-                )
-            )
-            warned = f", {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
-            say(f"{name}: fine: {counts}, {len(mesh.pinned):,} pinned{warned}")
+            vertices = counted(len(mesh.vertices), "vertex", "vertices")
+            triangles = counted(len(mesh.triangles), "triangle")
+            warned = f", {counted(len(warnings), 'warning')}" if warnings else ""
+            say(f"{name}: fine: {vertices}, {triangles}, {len(mesh.pinned):,} pinned{warned}")
         return 1 if failures else 0
 
 
