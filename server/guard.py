@@ -17,7 +17,8 @@ Policy:
     Value    a control's value passes its check before viser sees it: clamped, or refused and shown as it was.
     Camera   one that cannot be one is dropped.
     Pace     nobody is listened to faster than a hand can move. What comes faster waits in the sender's own
-             computer, so that nothing is lost and nothing piles up here.
+             computer, so that nothing is lost and nothing piles up here. What has come of somebody who left
+             meanwhile is heard to its end.
     Backlog  what is sent to a page that does not keep up is bounded, so that it skips frames and does not lag
              behind; one that does not answer at all is hung up on by websockets' own pings.
 """
@@ -45,7 +46,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import viser
 import websockets.asyncio.server
+import websockets.exceptions
 from viser import _messages as messages
+from websockets.protocol import State
 
 from server.access import ASK, Access, Role, cookie, cookie_name, token_in, tokens_in
 
@@ -216,7 +219,7 @@ class Door:
         """Let viser handle a connection, at a pace and with a bounded backlog, whatever a client sends."""
         self._inside += 1
         try:
-            connection.recv = _paced(connection.recv)
+            connection.recv, connection.send = _paced(connection), _surviving(connection.send)
             connection.transport.get_extra_info("socket").setsockopt(
                 socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG
             )
@@ -228,20 +231,39 @@ class Door:
             self._inside -= 1
 
 
-def _paced(receive: Callable) -> Callable:
-    """The same, but no more than PACE messages a second after the first BURST (a token bucket)."""
-    left, last = BURST, time.monotonic()
+def _paced(connection: Any) -> Callable:
+    """Its `recv`, but for no more than PACE messages a second after the first BURST (a token bucket).
+
+    Of a connection that is closed, no more can come than is here: that is given as fast as it is asked for.
+    """
+    receive, left, last = connection.recv, BURST, time.monotonic()
 
     async def paced(*args: Any, **options: Any) -> Any:
         nonlocal left, last
         now = time.monotonic()
         left, last = min(BURST, left + PACE * (now - last)), now
         if left < 1.0:
-            await asyncio.sleep((1.0 - left) / PACE)
+            await asyncio.sleep((1.0 - left) / PACE if connection.state is State.OPEN else 0.0)
         left -= 1.0
         return await receive(*args, **options)
 
     return paced
+
+
+def _surviving(send: Callable) -> Callable:
+    """The same, but once the connection is closed it waits to be cancelled.
+
+    Viser stops to listen where it cannot send, and would not hear the last of what a page said before it
+    left. So it ends where nothing more is to be heard.
+    """
+
+    async def surviving(*args: Any, **options: Any) -> None:
+        try:
+            await send(*args, **options)
+        except websockets.exceptions.ConnectionClosed:
+            await asyncio.get_running_loop().create_future()
+
+    return surviving
 
 
 @contextlib.contextmanager

@@ -102,12 +102,12 @@ class Crowd:
         async with self.visit(ping_interval=None) as socket:
             reader = asyncio.create_task(self.read(socket))
             while self.going_on():
+                await asyncio.sleep(1.0)
                 for _ in range(1000):
                     await self.move(socket, "friction", random.random())
                     await asyncio.sleep(1 / 500)
                 await self.move(socket, "friction", LAST)
-                await (await socket.ping())  # all has been read
-                await asyncio.sleep(1.0)
+                await (await socket.ping())  # all has come, though not all has been heard
             reader.cancel()
 
     async def rude(self):

@@ -169,6 +169,10 @@ class RawClient:
         wait_until(there)
         return found[0]
 
+    def shows(self, uuid: str) -> object:
+        """The value of a control on this page."""
+        return self.values.get(uuid, self.controls[uuid]["value"])
+
     def count(self, kind: str) -> int:
         """How many messages of a type have come."""
         return sum(message["type"] == kind for message in list(self.messages))
@@ -189,6 +193,25 @@ class RawClient:
     def set(self, uuid: str, value, **others):
         """Claim that a control was moved to a value."""
         self.send(type="GuiUpdateMessage", uuid=uuid, updates={"value": value, **others})
+
+    def drag(self, uuid: str, values):
+        """Claim that a control was moved to one value after the other, as fast as can be."""
+
+        async def drag():
+            for value in values:
+                update = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
+                await self._socket.send(msgspec.msgpack.encode(update))
+
+        self._do(drag())
+
+    def vanish(self):
+        """Be gone without a word, once all that was sent has come to the server."""
+
+        async def ping():
+            await (await self._socket.ping())
+
+        self._do(ping())
+        self._loop.call_soon_threadsafe(self._socket.transport.abort)
 
     def close(self):
         """Hang up; once is enough."""

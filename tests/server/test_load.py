@@ -95,7 +95,7 @@ def test_thirty_clients_of_all_sorts_leave_simulation_memory_and_the_last_word_a
     wait_until(lambda: lab.comparison.shared.gamma == 0.5)
     late = RawClient(lab.url)
     uuid = late.find("damping ratio γ")
-    wait_until(lambda: late.values.get(uuid, late.controls[uuid]["value"]) == 0.5)
+    wait_until(lambda: late.shows(uuid) == 0.5)
     late.close()
 
 
@@ -114,13 +114,23 @@ def test_a_flood_is_slowed_down_to_a_pace_and_its_last_word_is_heard(lab, client
     hostile.look()
     uuid = hostile.find("friction")
     begin = threading.Event()
-    for i in range(count):
-        hostile.set(uuid, i / count)
-    hostile.set(uuid, LAST)
+    hostile.drag(uuid, [*(i / count for i in range(count)), LAST])
     begin.wait(0.1)
     assert len(heard) < count, "the rest waits"
     wait_until(lambda: lab.comparison.shared.friction == LAST)
     hostile.close()
+
+
+def test_what_a_page_said_before_it_left_is_heard(lab, client):
+    """All of it has come when its last ping is answered, and most of it waits for the pace."""
+    leaving, count = RawClient(lab.url), 2 * int(guard.BURST)
+    leaving.look()
+    uuid = leaving.find("friction")
+    leaving.drag(uuid, [*(i / count for i in range(count)), LAST])
+    leaving.vanish()
+    wait_until(lambda: lab.comparison.shared.friction == LAST)
+    wait_until(lambda: len(lab._page.server.get_clients()) == 1)
+    assert not guard_leftovers(lab)
 
 
 def test_a_page_that_reads_nothing_is_sent_no_more_than_its_backlog_holds(lab, client, monkeypatch):
@@ -154,7 +164,7 @@ def test_two_who_fight_over_a_slider_see_the_same_in_the_end(lab, client):
     assert last.value in (0.549, 1.549)
     third = RawClient(lab.url)
     third.find("damping ratio γ")
-    wait_until(lambda: third.values.get(uuid, third.controls[uuid]["value"]) == last.value)
+    wait_until(lambda: third.shows(uuid) == last.value)
     assert [w.settings.gamma for w in FakeWorld.made] == [last.value] * 2
     other.close()
     third.close()
