@@ -1,9 +1,10 @@
-"""A lab with simulations that need no kernels, and a clock."""
+"""A lab with simulations that need no kernels, a clock, and a browser."""
 
 import pytest
 from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
 
 from server.lab import Lab
+from tests.browser import CHROMIUM, WITHOUT_GPU
 
 
 class Wall:
@@ -38,3 +39,14 @@ def client(lab):
     client.look()
     yield client
     client.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    assert CHROMIUM, "MUSLIN_REQUIRE_BROWSER=1, but there is no chromium"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=WITHOUT_GPU)
+        yield browser
+        browser.close()
