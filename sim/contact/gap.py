@@ -60,8 +60,8 @@ class GapSprings(NamedTuple):
         pairs = self.contacts.node[: self.pairs], self.contacts.weight[: self.pairs]
         return build_coupling(len(positions), *pairs, self.elements.tensor[: self.pairs])
 
-    def rub_like(self, before: GapSprings) -> None:
-        """Start with the drag that springs felt in a solve `before` of the same step, once it had settled."""
+    def begin_like(self, before: GapSprings) -> None:
+        """Begin with what springs felt in a solve `before` of the same step, and their drag once it settled."""
         if len(before.drag) and len(self.drag):
             twin, known = self.contacts.twins(before.contacts)
             self.take_up(known & before.acts[twin])
@@ -188,8 +188,9 @@ def gap_springs(
     """The gap springs of contacts that pressed in the step before, or that would unhindered end too close.
 
     A linear solve cannot tell beforehand which of the latter will press, and feels them all. Where there are
-    more Newton iterations, those begin with what pressed before, and take up what then lacks: with all they
-    would begin with cloth that hangs at the edge of an obstacle pulled to it, each step anew.
+    more Newton iterations, the first feels what pressed before, or comes too close by the speed that it has,
+    and the next take up what lacks: with all of them, cloth that hangs off the edge of an obstacle would be
+    pulled to it first, each step anew.
 
     Args:
         response: Which response; none has no springs.
