@@ -61,7 +61,7 @@ class GapSprings(NamedTuple):
         return build_coupling(len(positions), *pairs, self.elements.tensor[: self.pairs])
 
     def begin_like(self, before: GapSprings) -> None:
-        """Begin with what springs felt in a solve `before` of the same step, and their drag once it settled."""
+        """Begin with what a solve `before` of the same step felt, and with its drag once that had settled."""
         if len(before.drag) and len(self.drag):
             twin, known = self.contacts.twins(before.contacts)
             self.take_up(known & before.acts[twin])
