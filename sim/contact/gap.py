@@ -28,7 +28,7 @@ class GapSprings(NamedTuple):
         pairs: How many of them are between vertices of the cloth.
         elements: Their gaps as coordinates.
         drag: (c,) d, the friction force per slip [N s/m].
-        aside: (3, c) stiffness, damping and drag of those that the solve has let go of.
+        aside: (3, c) stiffness, damping and drag of those that the solve does not feel yet, or no more.
     """
 
     contacts: Contacts
@@ -60,11 +60,13 @@ class GapSprings(NamedTuple):
         pairs = self.contacts.node[: self.pairs], self.contacts.weight[: self.pairs]
         return build_coupling(len(positions), *pairs, self.elements.tensor[: self.pairs])
 
-    def rub_like(self, before: GapSprings) -> None:
-        """Start with the drag that springs felt in a solve `before` of the same step, once it had settled."""
+    def begin_like(self, before: GapSprings) -> None:
+        """Begin with what a solve `before` of the same step felt, and with its drag once that had settled."""
         if len(before.drag) and len(self.drag):
             twin, known = self.contacts.twins(before.contacts)
-            self.drag[known] = (before.drag + before.aside[2])[twin[known]]
+            self.take_up(known & before.acts[twin])
+            for drag, whose in ((self.drag, self.acts), (self.aside[2], ~self.acts)):
+                drag[known & whose] = (before.drag + before.aside[2])[twin[known & whose]]
 
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.
@@ -126,21 +128,37 @@ class GapSprings(NamedTuple):
         return normal, friction, spread(*about)
 
     def engage(self, positions: np.ndarray, slack: float) -> bool:
-        """Let go of contacts more than `slack` [m] off their target, and take up those that lack as much.
+        """Let go of contacts that pull, and take up those that lack more than `slack` [m] of their target.
 
-        Returns whether some were taken up again, so that the solve should go on.
+        Returns whether some were taken up, or had pulled over more than that, so that the solve should go on.
         """
         self.measure(positions)
-        over = self.elements.q - self.elements.rest
-        off = over > slack
-        on = (over < -slack) & (self.elements.stiffness == 0.0)
-        strengths = self.elements.stiffness, self.elements.damping, self.drag
-        for strength, aside in zip(strengths, self.aside, strict=True):
-            aside[off] += strength[off]
-            strength[off] = 0.0
-            strength[on] = aside[on]
-            aside[on] = 0.0
-        return bool(on.any())
+        over, acts = self.elements.q - self.elements.rest, self.acts
+        pull, lack = acts & (over > 0.0), ~acts & (over < -slack)
+        self.let_go(pull)
+        self.take_up(lack)
+        return bool(lack.any() or (over[pull] > slack).any())
+
+    def let_go(self, which: np.ndarray) -> None:
+        """Have the solve not feel those (c,) bool, until it takes them up."""
+        for strength, aside in zip(self._strengths, self.aside, strict=True):
+            aside[which] += strength[which]
+            strength[which] = 0.0
+
+    def take_up(self, which: np.ndarray) -> None:
+        """Have the solve feel those (c,) bool, and so again those that it had let go of."""
+        for strength, aside in zip(self._strengths, self.aside, strict=True):
+            strength[which] += aside[which]
+            aside[which] = 0.0
+
+    @property
+    def acts(self) -> np.ndarray:
+        """(c,) whether the solve feels each."""
+        return self.elements.stiffness != 0.0
+
+    @property
+    def _strengths(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.elements.stiffness, self.elements.damping, self.drag
 
     def pushes(self, positions: np.ndarray, velocities: np.ndarray, h: float) -> np.ndarray:
         """(c,) normal impulse of each gap spring over a step that ends so [N s]."""
@@ -169,6 +187,11 @@ def gap_springs(
 ) -> GapSprings:
     """The gap springs of contacts that pressed in the step before, or that would unhindered end too close.
 
+    A linear solve cannot tell beforehand which of the latter will press, and feels them all. Where there are
+    more Newton iterations, the first feels what pressed before, or comes too close by the speed that it has,
+    and the next take up what lacks: with all of them, cloth that hangs off the edge of an obstacle would be
+    pulled to it first, each step anew.
+
     Args:
         response: Which response; none has no springs.
         contacts: What detection found, those between vertices first.
@@ -178,7 +201,7 @@ def gap_springs(
         velocities: (n, 3) at the start of the step [m/s].
         force: (c,) with which each contact pressed in the step before [N].
         slip: (c,) slip expected after that step, zero for a new contact [m/s].
-        settings: dt and friction are read.
+        settings: dt, friction and newton are read.
     """
     if response is None or not len(contacts.key):
         return NO_GAP_SPRINGS
@@ -204,11 +227,16 @@ def gap_springs(
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
     elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
     sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
+    apart = (force == 0.0) & (contacts.start + h * closing >= elements.rest)
     force = np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
     fast = np.maximum(sliding, slip)
     slowed = np.maximum(fast - settings.friction * force * h / mass, STEADY * fast)
     drag = settings.friction * force / np.maximum(slowed, CREEP)
-    return GapSprings(contacts, int(np.count_nonzero(kept < pairs)), elements, drag, np.zeros((3, len(drag))))
+    among = int(np.count_nonzero(kept < pairs))
+    springs = GapSprings(contacts, among, elements, drag, np.zeros((3, len(drag))))
+    if response.solved and settings.newton > 1:
+        springs.let_go(apart)
+    return springs
 
 
 @kernel

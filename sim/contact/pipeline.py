@@ -301,7 +301,7 @@ class Pipeline:
             response = replace(response, carries=False)
         state = self._model.inverse_masses, end, way.v, *way.touched.ahead(contacts.key, way.settings.dt)
         springs = gap_springs(response, contacts, near, *state, way.settings)
-        springs.rub_like(way.springs)
+        springs.begin_like(way.springs)
         if response is not None and not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
         return springs

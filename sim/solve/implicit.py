@@ -156,7 +156,8 @@ def backward_euler(
         velocities = velocities + step
         last = small or newton == settings.newton or not step.any()  # of those before, nobody reads shares
         shares = contacts.shares(x_hat + h * velocities, velocities) if booked and last else None
-        small = not contacts.engage(x_hat + h * velocities, settings.tolerance) and small
+        if settings.newton > 1:
+            small = not contacts.engage(x_hat + h * velocities, settings.tolerance) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
         if converged or newton == settings.newton or not step.any():
