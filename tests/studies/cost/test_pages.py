@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import jsonschema
 import msgspec
+import numpy as np
 import pytest
 from rich.progress import Progress
 from small import WASTEFUL
@@ -126,6 +127,19 @@ def test_a_terminal_ends_with_what_to_do_and_the_block_to_paste(reports):
         table = next(line for line in block.splitlines() if not line.startswith("#"))
         assert table in ("[settings]", "[effects]")
     assert pages.result(reports["cost"]).notes[-2] == reports["cost"].verdict.sentence
+
+
+def test_the_table_of_energies_adds_up(reports):
+    report = reports["compare"]
+    (table,) = (t for t in pages.result(report).tables if t.caption.startswith("Where energy went"))
+    titles, *columns = zip(*table.rows, strict=True)
+    end = titles.index("= at the end")
+    for column, variant in zip(columns, report.variants, strict=True):
+        signs = [-1.0 if title.startswith("−") else 1.0 for title in titles[:end]]
+        assert np.dot(signs, column[:end]) == pytest.approx(column[end], rel=1e-9)
+        assert sum(column[end + 1 :]) == pytest.approx(column[end])
+        assert column[titles.index("− damping")] == variant.balance.dissipated["damping"]
+    assert not any("wind" in title for title in titles)  # nothing blows
 
 
 @pytest.mark.browser
