@@ -19,7 +19,7 @@ from server.cost import Remaining
 from server.figures import png, svg
 from sim.integrators import INTEGRATORS
 from sim.studies.cost.report import REPORTS, schema
-from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
+from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU, overflow
 
 pytestmark = pytest.mark.alone
 
@@ -171,6 +171,20 @@ def test_the_page_opens_in_a_browser_without_server_and_network(written, study, 
             assert page.evaluate(DRAWN, name) > 10
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
         browser.close()
+
+
+@pytest.mark.browser
+@WITHOUT_BROWSER
+@pytest.mark.parametrize("study", REPORTS)
+def test_a_page_shows_whole_tables_on_a_laptop_and_scrolls_them_alone_on_a_phone(written, study, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(written[study][0], encoding="utf-8")
+    beyond, tables = overflow(path, 1100)
+    assert beyond <= 0
+    assert max(tables) <= 0
+    beyond, tables = overflow(path, 390)
+    assert beyond <= 0
+    assert max(tables) > 0
 
 
 def test_every_plot_is_a_picture_of_its_own_and_the_same_each_time(reports):
