@@ -3,6 +3,7 @@
 import math
 import time
 import tomllib
+from dataclasses import replace
 from itertools import pairwise
 
 import msgspec
@@ -84,6 +85,28 @@ def test_the_floor_is_a_tenth_of_the_smallest_error_and_the_larger_of_both_check
 def test_a_reference_that_is_too_coarse_is_refused(swing, finer):
     with pytest.raises(ReferenceError, match=r"the reference is too coarse: .* expected a tenth"):
         cost(swing, seconds=0.2, effort=FEW, jobs=1, finer=finer)
+
+
+@pytest.mark.parametrize("effort", [planning.QUICK, planning.USUAL])
+def test_a_reference_that_is_too_coarse_at_first_is_refined_twice(swing, effort):
+    effort = replace(effort, integrators=FEW.integrators, members=1, ensemble=0, minutes=math.inf)
+    found = cost(swing, seconds=0.2, effort=effort, jobs=1, finer=3)
+    assert found.reference.refined == 2
+    assert MARGIN * found.floor <= min(r.error for r in found.runs)
+
+
+def test_a_reference_for_which_there_is_time_for_one_look_alone_is_none(swing, monkeypatch):
+    left = {study.REFERENCE_SHARE: 0.0}
+    monkeypatch.setattr(study._Study, "_limit", lambda _, share: left.get(share, math.inf))
+    with pytest.raises(ReferenceError, match=r"comes no farther than 0.0167 s .*; ask for --full"):
+        cost(swing, seconds=0.2, effort=FEW, jobs=1)
+
+
+def test_a_recommendation_from_a_part_of_the_time_says_so(swing, monkeypatch):
+    monkeypatch.setattr(study, "comparable", lambda *_: 3)
+    effort = planning.Effort(0, 0, ("backward_euler", "sdirk2"), 1, 1, 0, 0, math.inf)
+    found = cost(swing, seconds=0.17, effort=effort, jobs=1)
+    assert "in the first 0.05 s of this scene" in found.verdict.sentence
 
 
 def test_a_refusal_is_of_a_look_that_could_have_been_used_and_names_both_numbers():
