@@ -290,7 +290,7 @@ class _Study:
         ]
         traces = self._made(cases, 0.88, 1.0, "seeded runs beyond the horizon")
         for k, name in enumerate(chosen):
-            found += bands(name, traces[k * members : (k + 1) * members])
+            found += bands(name, traces[k * members : (k + 1) * members], look)
         return found
 
 

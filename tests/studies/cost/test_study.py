@@ -1,6 +1,7 @@
 """What accuracy costs: the study finds known orders, sees waste, and refuses what it cannot judge."""
 
 import math
+import statistics
 import time
 import tomllib
 from dataclasses import replace
@@ -18,6 +19,7 @@ from sim.settings import change
 from sim.studies.cost import plan as planning
 from sim.studies.cost import study
 from sim.studies.cost import trace as traces
+from sim.studies.cost.ensemble import bands
 from sim.studies.cost.front import cheapest, front
 from sim.studies.cost.measures import Measures, distances, size
 from sim.studies.cost.nested import nested
@@ -203,6 +205,26 @@ def test_progress_goes_from_nothing_to_all_and_never_back(swing):
 
 
 # Its parts
+
+
+def test_bands_are_the_spread_of_seeded_runs_past_the_horizon_and_the_same_wherever_they_are_made(landing):
+    found = []
+    for jobs in (1, 2):
+        cases = [Case(sim.load_scene(landing), {}, 1 / 60, 6, ((1e-3, 1 + m),)) for m in range(3)]
+        with workers(jobs) as run_all:
+            found.append(list(bands("chosen", list(run_all(cases)), 2)))
+    assert found[0] == found[1]
+    radius = next(b for b in found[0] if b.observable == "drape radius")
+    ends = [run(case).observables["drape radius"][-1] for case in cases]
+    assert radius.members == 3
+    assert radius.mean[-1] == pytest.approx(statistics.mean(ends), rel=1e-12)
+    assert radius.deviation[-1] == pytest.approx(statistics.stdev(ends), rel=1e-6)
+
+
+def test_runs_that_end_before_the_horizon_or_stand_alone_make_no_band(swing):
+    short, long = (run(Case(sim.load_scene(swing), {}, 1 / 60, looks)) for looks in (2, 4))
+    assert list(bands("chosen", [short, long], 2)) == []
+    assert all((b.members, len(b.times)) == (2, 5) for b in bands("chosen", [short, long, long], 2))
 
 
 def test_runs_are_the_same_to_the_bit_in_other_processes(swing):
