@@ -224,8 +224,7 @@ class Lab:
         having = switch(name, "auto", now, self._scene.settings)
         ((setting, without),) = find_effect(name).off.items()
         values = having.get(setting, getattr(now, setting)), without
-        self._comparison = Comparison(self._comparison.shared, setting, values)
-        self._open()
+        self._compare(Comparison(self._comparison.shared, setting, values))
 
     def set_own(self, index: int, value: Any) -> None:
         """Change the compared setting of one variant."""
@@ -258,8 +257,15 @@ class Lab:
         self.say(f"{what}: {words}" if words else f"{what}: nothing")
 
     def undo(self) -> None:
-        """Go back to the settings before the last change."""
-        self._change_on_page(self._history.undo() or self._comparison, "undone")
+        """Go back to before the last change; if the scene started again with it, it does with this, too."""
+        last = self._history.undo()
+        if last is None or not last.anew:
+            self._change_on_page(last.before if last else self._comparison, "undone")
+            return
+        words = changed(self._comparison, last.before)
+        self._comparison = last.before
+        self._open()
+        self.say(f"undone: {words}")
 
     def make_safe(self) -> None:
         """Put right what is out of the ordinary in variants that stand still."""
@@ -311,15 +317,19 @@ class Lab:
     def compare_by(self, by: str) -> None:
         """Have the variants differ in another setting; starts again."""
         if by != self._comparison.by:
-            self._comparison = self._comparison.compared_by(by)
-            self._open()
+            self._compare(self._comparison.compared_by(by))
 
     def change_count(self, more: int) -> None:
         """Add or leave out variants at the end; starts again."""
         count = min(max(self._comparison.count + more, 2), MAX_VARIANTS)
         if self._comparison.by and count != self._comparison.count:
-            self._comparison = self._comparison.with_count(count)
-            self._open()
+            self._compare(self._comparison.with_count(count))
+
+    def _compare(self, comparison: Comparison) -> None:
+        """Have other variants, which starts again, and can be undone."""
+        self._history.note(self._comparison, comparison, anew=True)
+        self._comparison = comparison
+        self._open()
 
     def open_scene(self, name: str) -> None:
         """Open another scene."""
@@ -331,12 +341,12 @@ class Lab:
             self._page.panel.show_scene(self._scene)
             return
         self._scene, self._mesh, self._comparison = scene, mesh, Comparison.of_scene(scene)
+        self._history.clear()
         self._open()
 
     # Opening a scene: its still at once, then kernels in a thread, then one lane per variant.
 
     def _open(self) -> None:
-        self._history.clear()
         self._ringdown.stop()
         self._prober.clear()
         self._bench.clear(self._comparison.count)

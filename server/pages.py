@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 from jinja2 import Environment, PackageLoader, Template, select_autoescape
@@ -14,7 +14,7 @@ from server.figures import Figures, inline_svg
 from server.study import cell_text
 from sim.studies import Cell, Result, Table
 from sim.studies.cost.measures import UNITS
-from sim.studies.cost.report import AuditReport, CompareReport, CostReport, Run, Variant
+from sim.studies.cost.report import AuditReport, Balance, CompareReport, CostReport, Run, Variant
 from sim.studies.cost.verdict import FRAME, in_words, value_in_words
 
 FRONT = "●"
@@ -214,7 +214,7 @@ def _curves(report: CostReport) -> Table:
 def _compare_result(report: CompareReport) -> Result:
     horizon = "no error is told" if report.horizon is None else f"errors up to {report.horizon:.3g} s"
     notes = (f"Reference: {report.reference}; {horizon}.",)
-    tables = _cost(report), _state(report), _observables(report), _stopped(report)
+    tables = _cost(report), _state(report), _balance(report), _observables(report), _stopped(report)
     title = f"{report.scene} by {report.by}, {report.seconds:.3g} s"
     return Result(title, tuple(table for table in tables if table.rows), notes)
 
@@ -250,6 +250,31 @@ def _state(report: CompareReport) -> Table:
         for v in report.variants
     )
     return Table("Energy at the end, and how the cloth fared on the way", columns, rows)
+
+
+def _balance(report: CompareReport) -> Table:
+    """Where energy went, a column for each variant: what stands above “= at the end” adds up to it."""
+    balances = [v.balance for v in report.variants]
+
+    def row(title: str, value: Callable[[Balance], float | None]) -> Row:
+        return title, *map(value, balances)
+
+    def rows(before: str, part: str) -> list[Row]:
+        """Of the entries that any variant has."""
+        parts = [getattr(b, part) for b in balances]
+        names = dict.fromkeys(name for entries in parts for name in entries)
+        return [
+            row(f"{before} {name}", lambda b, name=name: getattr(b, part).get(name))
+            for name in names
+            if any(entries.get(name) for entries in parts)
+        ]
+
+    kinds = rows("  of it", "energy")
+    flows = [*rows("+", "injected"), *rows("−", "dissipated"), row("± residual", lambda b: b.residual)]
+    ends = row("at the start", lambda b: b.start), row("= at the end", lambda b: sum(b.energy.values()))
+    columns = (report.by, *(v.name for v in report.variants))
+    caption = "Where energy went [J]; what was taken (−) and is below zero was put in"
+    return Table(caption, columns, (ends[0], *flows, ends[1], *kinds))
 
 
 def _observables(report: CompareReport) -> Table:

@@ -149,7 +149,7 @@ class Panel:
             Shortcut("space", "Play or pause", lambda _: lab.post(lab.toggle)),
             Shortcut("N", "One step", lambda _: lab.post(lab.step)),
             Shortcut("R", "Reset", lambda _: lab.post(lab.reset)),
-            Shortcut("Z", "Undo the last change of a setting", lambda _: lab.post(lab.undo)),
+            Shortcut("Z", "Undo the last change", lambda _: lab.post(lab.undo)),
             Shortcut("W", "Mesh lines on or off", lambda _: lab.post(lab.show_lines, not self._lines.value)),
             Shortcut("F", "Frame the view", lambda client: lab.post(lab.frame_view, client), own=True),
             Shortcut(

@@ -254,8 +254,8 @@ STYLE = (
     "table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}"
     "th,td{text-align:left;padding:.2em .8em .2em 0;vertical-align:top}th{font-weight:600}"
     "tr{border-bottom:1px solid #e6e2dc}td.n,th.n{text-align:right;white-space:nowrap}"
-    ".dim{color:#6f675f}.cards{display:grid;grid-template-columns:repeat(auto-fill,minmax(24em,1fr));"
-    "gap:1.2em;margin-top:2em}"
+    ".scroll{overflow-x:auto}.dim{color:#6f675f}.cards{display:grid;gap:1.2em;margin-top:2em;"
+    "grid-template-columns:repeat(auto-fill,minmax(min(24em,100%),1fr))}"
     ".card{border:1px solid #e6e2dc;border-radius:6px;overflow:hidden;display:flex;flex-direction:column}"
     ".card svg{display:block;width:100%;height:auto}.card>div{padding:.7em 1em 1em}"
     ".card table{font-size:.87em;margin:.5em 0}.card p{margin:.3em 0}"
@@ -284,12 +284,13 @@ def as_html(verdicts: Sequence[Verdict], about: dict[str, object]) -> str:
     packages = ", ".join(f"{name} {version}" for name, version in versions.items())
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="UTF-8">'
-        '<meta name="viewport" content="width=device-width">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>Muslin: the battery</title><style>{STYLE}.card svg{{background:{BACKGROUND}}}</style></head>"
         "<body>"
         f"<h1>Muslin: the battery, {about['battery']} cases</h1><p>{escape(counts(verdicts))}</p>"
         f'<p class="dim">{about["date"]}, seed {about["seed"]}; {escape(packages)}</p>'
-        f'<table><tr>{head}</tr>{"".join(lines)}</table><div class="cards">{cards}</div></body></html>\n'
+        f'<div class="scroll"><table><tr>{head}</tr>{"".join(lines)}</table></div>'
+        f'<div class="cards">{cards}</div></body></html>\n'
     )
 
 

@@ -39,7 +39,7 @@ class Cost:
     target: float = 0.01
     """Relative error that the recommendation is for."""
     quick: bool = False
-    """Fewer runs: about a minute."""
+    """Fewer runs: a minute or two."""
     full: bool = False
     """All integrators, finer steps, more repeats: as long as it takes."""
     schema: bool = False

@@ -137,10 +137,35 @@ def test_another_scene_has_no_past(lab, client):
     client.set(client.find("damping ratio γ"), 1.0)
     wait_until(lambda: lab.comparison.shared.gamma == 1.0)
     lab.post(lab.compare_by, "density")
-    wait_until(lambda: lab.comparison.by == "density")
+    lab.post(lab.open_scene, "drape")
+    wait_until(lambda: lab.comparison.shared.gamma != 1.0)
+    opened = lab.comparison
     lab.post(lab.undo)
     wait_until(lambda: "undone: nothing" in said(client))
-    assert lab.comparison.shared.gamma == 1.0
+    assert lab.comparison == opened
+
+
+def test_undo_leads_back_through_what_was_compared_and_starts_again_with_it(lab, client):
+    """Out of "what does this one do?", another number of cloths, and another setting, one after the other."""
+    start = lab.comparison
+    lab.post(lab.set_shared, "friction", 0.7)
+    lab.post(lab.compare_by, "density")
+    lab.post(lab.change_count, 1)
+    lab.post(lab.show_effect, "bending")
+    wait_until(lambda: lab.comparison.by == "bend" and len(lab.frames) == 2)
+    wait_until(lambda: min(times(lab), default=0) > 0.2)
+    client.press("Z")
+    wait_until(lambda: "undone: bending spring" in said(client))
+    assert (lab.comparison.by, lab.comparison.count) == ("density", 3)
+    wait_until(lambda: len(lab.frames) == 3)
+    assert min(times(lab)) < 0.2
+    for by, count in (("density", 2), ("contact", 2)):
+        lab.post(lab.undo)
+        wait_until(lambda by=by, count=count: (lab.comparison.by, lab.comparison.count) == (by, count))
+    wait_until(lambda: min(times(lab), default=0) > 0)
+    assert lab.comparison.shared.friction == 0.7
+    lab.post(lab.undo)
+    wait_until(lambda: lab.comparison == start)
 
 
 def test_shared_suspects_are_put_right_for_all_and_the_compared_one_only_where_it_stands_still():

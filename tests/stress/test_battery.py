@@ -24,6 +24,7 @@ from sim.stress.scenes import crumple
 from sim.stress.sweep import levels, move, rows
 from sim.stress.verdict import Verdict
 from sim.stress.worlds import ball, grid, scene
+from tests.browser import WITHOUT_BROWSER, overflow
 from tests.stress.dying import die_of, hold_to_nothing
 
 QUICK = "N8"
@@ -428,3 +429,15 @@ def test_a_page_escapes_what_it_is_told():
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
     assert not as_json([verdict(bad)], about)["passed"]
+
+
+@pytest.mark.browser
+@WITHOUT_BROWSER
+def test_a_page_is_no_wider_than_a_phone(tmp_path):
+    figure = Figure("pairs near, most in a step", 123456.0, 1.0, unit="per second", least=True)
+    path = tmp_path / "page.html"
+    about = {"battery": "short", "date": "today", "seed": 0, "versions": {"muslin": "1"}}
+    path.write_text(as_html([verdict(Outcome(Task("x", 0), [figure]))], about), encoding="utf-8")
+    beyond, (table,) = overflow(path, 390)
+    assert beyond <= 0
+    assert table > 0

@@ -17,6 +17,7 @@ from msgspec.structs import asdict
 
 from sim.bench.hardware import hardware, versions
 from sim.crossings import Crossings
+from sim.ledger import Ledger
 from sim.scene import Scene, load_scene
 from sim.settings import FIELDS, Settings, change
 from sim.simulation import Simulation
@@ -24,7 +25,7 @@ from sim.studies import Progress
 from sim.studies.cost.horizon import HAIR, growth, growth_settings
 from sim.studies.cost.measures import size
 from sim.studies.cost.reference import FINER, Reference, ReferenceError, comparable, judge, reference_settings
-from sim.studies.cost.report import CompareReport, Growth, Variant
+from sim.studies.cost.report import Balance, CompareReport, Growth, Variant
 from sim.studies.cost.timing import Timed, measure, repeat
 from sim.studies.cost.trace import Case
 from sim.studies.cost.verdict import value_in_words
@@ -135,6 +136,7 @@ class _Comparison:
     def report(self, by: str, repeats: int, computer: dict[str, Any]) -> CompareReport:
         """All stages."""
         timed = self._timed(repeats)
+        balances = self._balances()
         grown = self._growth()
         own = makes_another_cloth(by)
         references, words = self._references(own, max(1, round(grown.horizon / self.every)))
@@ -143,9 +145,9 @@ class _Comparison:
             words = "none: it is not known to a tenth of the smallest error at any time"
         self.progress(1.0, "done")
         found = [
-            self._variant(value_in_words(by, getattr(s, by)), s, t, look, error, reference)
-            for s, t, error, reference in zip(
-                self.variants, timed, errors, references or [None] * len(timed), strict=True
+            self._variant(value_in_words(by, getattr(s, by)), s, t, balance, look, error, reference)
+            for s, t, balance, error, reference in zip(
+                self.variants, timed, balances, errors, references or [None] * len(timed), strict=True
             )
         ]
         return CompareReport(
@@ -162,8 +164,10 @@ class _Comparison:
             versions=versions(),
         )
 
-    def _case(self, settings: dict[str, Any], looks: int, *nudges: tuple[float, int]) -> Case:
-        return Case(self.scene, settings, self.every, looks, nudges)
+    def _case(
+        self, settings: dict[str, Any], looks: int, *nudges: tuple[float, int], booked: bool = False
+    ) -> Case:
+        return Case(self.scene, settings, self.every, looks, nudges, booked=booked)
 
     def _timed(self, repeats: int) -> list[Timed]:
         cases = [self._case(asdict(s), self.looks) for s in self.variants]
@@ -176,8 +180,14 @@ class _Comparison:
         repeat(cases, timed, repeats, go_on)
         return timed
 
+    def _balances(self) -> list[Balance]:
+        """Of each variant. Books take time, so they are kept in runs of their own: the same to the bit."""
+        self.progress(0.6, "where energy goes")
+        cases = [self._case(asdict(s), self.looks, booked=True) for s in self.variants]
+        return [_balance(trace.ledger) for trace in self.run_all(cases)]
+
     def _growth(self) -> Growth:
-        self.progress(0.6, "how fast runs drift apart")
+        self.progress(0.63, "how fast runs drift apart")
         finest = min(s.dt for s in self.variants)
         settings = {**asdict(self.chosen), **growth_settings(finest, self.length)}
         hair = HAIR * self.length
@@ -225,6 +235,7 @@ class _Comparison:
         name: str,
         settings: Settings,
         t: Timed,
+        balance: Balance,
         look: int | None,
         error: np.ndarray | None,
         reference: Reference | None,
@@ -248,6 +259,7 @@ class _Comparison:
             energy_start=float(total[0]),
             energy_change=float(total[-1] - total[0]),
             energy_rise=rise,
+            balance=balance,
             penetrations=int(trace.contact["penetrations"].max()),
             deepest=float(trace.contact["deepest"].max()),
             crossings=max(map(crossings.count, trace.times, trace.positions)),
@@ -255,6 +267,12 @@ class _Comparison:
             observables={kind: float(values[-1]) for kind, values in trace.observables.items()},
             stopped=trace.stopped,
         )
+
+
+def _balance(ledger: Ledger | None) -> Balance:
+    assert ledger is not None, "its run is booked"
+    parts = {name: getattr(ledger, name) for name in Balance.__struct_fields__}
+    return Balance(**parts)
 
 
 def scene_with(scene: Scene, settings: Settings) -> Scene:

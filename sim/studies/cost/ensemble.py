@@ -30,11 +30,14 @@ def worth_an_ensemble(runs: Sequence[Run], seconds: float, most: float) -> dict[
     return {"chosen": chosen} if best is chosen else {"chosen": chosen, "accurate": best}
 
 
-def bands(name: str, traces: Sequence[Trace]) -> Iterator[Band]:
-    """Bands of every observable over runs that differ in their seed alone."""
-    whole = [trace for trace in traces if not trace.stopped]
+def bands(name: str, traces: Sequence[Trace], look: int) -> Iterator[Band]:
+    """Bands of every observable over runs that differ in their seed alone, and go on past a `look`.
+
+    The deviation is that of what the runs were drawn from, so it takes two of them.
+    """
+    whole = [trace for trace in traces if not trace.stopped and len(trace) > look + 1]
     looks = min(map(len, whole), default=0)
-    for observable in whole[0].observables if whole else ():
+    for observable in whole[0].observables if len(whole) > 1 else ():
         values = np.stack([trace.observables[observable][:looks] for trace in whole])
         yield Band(
             settings=name,
@@ -42,5 +45,5 @@ def bands(name: str, traces: Sequence[Trace]) -> Iterator[Band]:
             members=len(whole),
             times=whole[0].times[:looks].tolist(),
             mean=values.mean(axis=0).tolist(),
-            deviation=values.std(axis=0).tolist(),
+            deviation=values.std(axis=0, ddof=1).tolist(),
         )

@@ -40,8 +40,8 @@ class Effort:
 
 SOME = ("backward_euler", "bdf2", "midpoint", "sdirk2")
 
-QUICK = Effort(1, 1, ("backward_euler", "sdirk2"), 3, 2, 0, 1, 0.75)
-USUAL = Effort(2, 1, SOME, 3, 3, 4, 1, 2.5)
+QUICK = Effort(1, 1, ("backward_euler", "sdirk2"), 3, 2, 0, 2, 0.75)
+USUAL = Effort(2, 1, SOME, 3, 3, 4, 2, 2.5)
 FULL = Effort(3, 1, (), 5, 8, 12, 2, math.inf)
 
 NEWTONS = (1, 2, 4, 8)

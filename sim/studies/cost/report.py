@@ -156,6 +156,20 @@ class CostReport(Struct, kw_only=True, frozen=True):
     versions: dict[str, str]
 
 
+class Balance(Struct, kw_only=True, frozen=True):
+    """Where the energy of a run went [J], by entry: start + injected − dissipated + residual = energy.
+
+    `turnover` is what changed its kind, without sign: the scale of `residual`, which does not add up.
+    """
+
+    start: float
+    injected: Annotated[dict[str, float], Meta(description="an entry below zero took energy out")]
+    dissipated: Annotated[dict[str, float], Meta(description="an entry below zero put energy in")]
+    residual: float
+    energy: Annotated[dict[str, float], Meta(description="by kind, at the end")]
+    turnover: Annotated[float, Meta(ge=0.0)]
+
+
 class Variant(Struct, kw_only=True, frozen=True):
     """One of the runs that are compared."""
 
@@ -174,6 +188,7 @@ class Variant(Struct, kw_only=True, frozen=True):
     energy_rise: Annotated[
         float, Meta(description="J; the largest rise of the total above its smallest before")
     ]
+    balance: Annotated[Balance, Meta(description="of a run of its own, which is not timed")]
     penetrations: Annotated[int, Meta(description="most vertices inside an obstacle at the end of a step")]
     deepest: Annotated[float, Meta(description="m")]
     crossings: Annotated[

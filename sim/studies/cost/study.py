@@ -160,7 +160,7 @@ class _Study:
             sources=found,
             meshes=on_meshes,
             bands=seeded,
-            verdict=verdict(runs[0], runs, found, target),
+            verdict=verdict(runs[0], runs, found, target, self._where(look)),
             notes=notes(runs, contact, self.effort.repeats),
             hardware={},
             versions={},
@@ -212,9 +212,15 @@ class _Study:
             return "after that the reference is not known to a tenth of the smallest error"
         return "a longer reference would take too long for this effort; ask for --full"
 
+    def _where(self, look: int) -> str:
+        """What errors are told of, in words."""
+        if look >= self.most:
+            return "on this scene"
+        return f"in the first {look * self.subject.every:.2g} s of this scene"
+
     def _compared(self, planned: Sequence[Planned], last: int) -> tuple[Reference, list[Timed], int, int]:
         """A reference, runs that can be told against it, up to which look, and how often it was refined."""
-        subject, timed, refined = self.subject, None, 0
+        subject, timed, refined, fewest = self.subject, None, 0, min(FEWEST, last)
         while True:
             dt = planning.steps(subject.chosen, self.effort)[-1] / self.finer / 2**refined
             limit = self._limit(REFERENCE_SHARE)
@@ -224,16 +230,21 @@ class _Study:
             begun = int(np.argmax(reference.floor > ROUNDING))  # before, cloth falls, and all are exact
             afforded = max(self._affordable(traces[0], planned), begun + FEWEST)
             last = min(last, *(len(trace) - 1 for trace in traces), afforded)
+            if last < fewest:
+                raise ReferenceError(
+                    f"a reference with steps of {1e3 * dt:.3g} ms comes no farther than "
+                    f"{last * subject.every:.3g} s in the time that there is; ask for --full"
+                )
             timed = timed or self._timed(planned, last)
             fine = [t.trace for t in timed if not t.trace.stopped]
             if not fine:
                 raise ReferenceError(f"every run fails; with the chosen settings {timed[0].trace.stopped}")
             errors = [reference.errors(trace, subject.masses, subject.length) for trace in fine]
             look, self.known = comparable(reference.floor, errors, last), last
-            if look is not None and look >= min(FEWEST, last):
+            if look is not None and look >= fewest:
                 return reference, timed, look, refined
             if refined == self.effort.refinements:
-                why = refuse(reference, errors, last, FEWEST)
+                why = refuse(reference, errors, last, fewest)
                 raise why if math.isinf(self.effort.minutes) else ReferenceError(f"{why}{FINER_REFERENCE}")
             refined += 1
 
@@ -279,7 +290,7 @@ class _Study:
         ]
         traces = self._made(cases, 0.88, 1.0, "seeded runs beyond the horizon")
         for k, name in enumerate(chosen):
-            found += bands(name, traces[k * members : (k + 1) * members])
+            found += bands(name, traces[k * members : (k + 1) * members], look)
         return found
 
 

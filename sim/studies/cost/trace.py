@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sim.ledger import Ledger
 from sim.report import StepError, StepReport
 from sim.scene import Scene
 from sim.simulation import Simulation
@@ -35,6 +36,7 @@ class Case:
         looks: How many there are, after the one at the start.
         nudges: By how much each vertex is moved first: standard deviations [m], and seeds.
         limit: Processor time after which no more looks are taken [s]; a busy computer does not change it.
+        booked: Whether an energy ledger is kept, which takes time: steps of such a run are not timed.
     """
 
     scene: Scene
@@ -43,6 +45,7 @@ class Case:
     looks: int
     nudges: tuple[tuple[float, int], ...] = ()
     limit: float = math.inf
+    booked: bool = False
 
 
 @dataclass
@@ -60,6 +63,7 @@ class Trace:
         contact: By name out of CONTACT, (k,) largest since the look before.
         seconds: Processor time of all of it [s].
         stopped: Why it ended early; empty where it did not.
+        ledger: Of its energy, up to the last look; None without books.
     """
 
     times: np.ndarray
@@ -74,6 +78,7 @@ class Trace:
     contact: dict[str, np.ndarray]
     seconds: float
     stopped: str = ""
+    ledger: Ledger | None = None
 
     def __len__(self) -> int:
         return len(self.times)
@@ -119,9 +124,10 @@ def run(case: Case) -> Trace:
         noise = np.random.default_rng(seed).standard_normal(world.positions.shape)
         world.place(world.positions + deviation * world.model.confined(noise))
     _warm(world)
+    world.keep_ledger(case.booked)
     measures, steps = Measures(world), round(case.every / world.settings.dt)
     looks, intervals = [measures.look()], [_Interval()]
-    positions, stopped = [world.positions.copy()], ""
+    positions, stopped, ledger = [world.positions.copy()], "", world.ledger
     begun = time.process_time()
     while len(looks) <= case.looks and (time.process_time() < begun + case.limit or len(looks) == 1):
         interval = _Interval()
@@ -136,7 +142,8 @@ def run(case: Case) -> Trace:
         looks.append(measures.look())
         intervals.append(interval)
         positions.append(world.positions.copy())
-    return _trace(case, positions, looks, intervals, time.process_time() - begun, stopped)
+        ledger = world.ledger
+    return _trace(case, positions, looks, intervals, time.process_time() - begun, stopped, ledger)
 
 
 def _warm(world: Simulation) -> None:
@@ -148,7 +155,13 @@ def _warm(world: Simulation) -> None:
 
 
 def _trace(
-    case: Case, positions: list, looks: list, intervals: list[_Interval], seconds: float, stopped: str
+    case: Case,
+    positions: list,
+    looks: list,
+    intervals: list[_Interval],
+    seconds: float,
+    stopped: str,
+    ledger: Ledger | None,
 ) -> Trace:
     def columns(rows: list[dict[str, float]]) -> dict[str, np.ndarray]:
         names = dict.fromkeys(name for row in rows for name in row)
@@ -167,4 +180,5 @@ def _trace(
         contact=columns([interval.contact for interval in intervals]),
         seconds=seconds,
         stopped=stopped,
+        ledger=ledger,
     )

@@ -26,7 +26,9 @@ ENERGY = 10.0
 """Nor is one whose energy is more wrong than that of the chosen one, and than so many times the target."""
 
 
-def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target: float) -> Verdict:
+def verdict(
+    chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target: float, where: str = "on this scene"
+) -> Verdict:
     """The cheapest run that meets `target`, or the one that comes nearest to it.
 
     Args:
@@ -34,6 +36,7 @@ def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target:
         runs: To choose from.
         sources: Of the error of the chosen run.
         target: Relative error.
+        where: What errors are told of, in words.
     """
     energy = max(chosen.error_energy, ENERGY * target)
     fit = [run for run in runs if run.deepest <= chosen.deepest + DEEPER and run.error_energy <= energy]
@@ -42,7 +45,7 @@ def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target:
     changed = to_builtins(best.changed)
     return Verdict(
         target=target,
-        sentence=_sentence(chosen, best, target, found is not None),
+        sentence=_sentence(chosen, best, target, found is not None, where),
         dominates=dominant(sources),
         settings=changed,
         toml=_toml(best, target, found is not None),
@@ -52,12 +55,12 @@ def verdict(chosen: Run, runs: Sequence[Run], sources: Sequence[Source], target:
     )
 
 
-def _sentence(chosen: Run, best: Run, target: float, met: bool) -> str:
+def _sentence(chosen: Run, best: Run, target: float, met: bool, where: str) -> str:
     if not met:
         reached = f"the nearest, {percent(best.error)}, is"
-        begin = f"Nothing that was tried reaches {percent(target)} on this scene; {reached}"
+        begin = f"Nothing that was tried reaches {percent(target)} {where}; {reached}"
     else:
-        begin = f"For {percent(target)} error on this scene the cheapest setting is"
+        begin = f"For {percent(target)} error {where} the cheapest setting is"
     cost = f"{best.ms * FRAME:.3g} ms per frame, {1e3 / best.ms:.2g} × real time"
     if best is chosen:
         return f"{begin} the one you have: {cost}, with an error of {percent(best.error)}."
@@ -141,7 +144,7 @@ def notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
         f"whose energy is more wrong than theirs and than {ENERGY:.0f} times the target.",
     ]
     stood_in = max((run.stood_in for run in runs), default=0.0)
-    if contact:
+    if contact and stood_in > 0.0:
         found.append(
             "Cloth touches something here: a step that feels a contact is one of backward Euler whatever the "
             f"integrator (up to {stood_in:.0%} of the steps), so no method is of more than first order from "

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import sim
+from sim.studies.cost import timing
 from sim.studies.cost.compare import common_multiple, compare, makes_another_cloth
 from sim.studies.cost.measures import distances, size
 from sim.studies.cost.reference import MARGIN
+from sim.studies.cost.trace import run
 
 pytestmark = pytest.mark.alone
 
@@ -31,6 +33,28 @@ def test_energies_penetrations_and_stretch_are_those_of_direct_runs(compared, la
         assert variant.crossings == max(crossed)
         assert variant.matvecs * compared.seconds == pytest.approx(sum(r.iterations for r in reports))
         assert variant.ms == pytest.approx(sum(variant.phases.values()), rel=0.5)  # phases are most of a step
+
+
+def test_where_energy_went_is_that_of_direct_runs_that_keep_books(compared, landing):
+    for variant in compared.variants:
+        world = sim.Simulation(landing, contact=variant.settings.contact)
+        world.keep_ledger()
+        for _ in range(round(compared.seconds / world.settings.dt)):
+            world.step()
+        found, ledger = variant.balance, world.ledger
+        assert (found.start, found.turnover) == (ledger.start, ledger.turnover)
+        assert (found.injected, found.dissipated) == (ledger.injected, ledger.dissipated)
+        assert found.residual == ledger.residual
+        assert found.energy == variant.energy  # the run that was timed, without books, is the same to the bit
+        assert found.dissipated["integrator"] > 0.0
+
+
+def test_no_timed_run_keeps_books(swing, monkeypatch):
+    timed = []
+    monkeypatch.setattr(timing, "run", lambda case: timed.append(case) or run(case))
+    compare(swing, "newton", [1, 2], seconds=0.1, repeats=1, jobs=1)
+    assert timed
+    assert not any(case.booked for case in timed)
 
 
 def test_the_penalty_cloth_goes_deeper_than_the_impulse_cloth(compared):

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import jsonschema
 import msgspec
+import numpy as np
 import pytest
 from rich.progress import Progress
 from small import WASTEFUL
@@ -18,7 +19,7 @@ from server.cost import Remaining
 from server.figures import png, svg
 from sim.integrators import INTEGRATORS
 from sim.studies.cost.report import REPORTS, schema
-from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU
+from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU, overflow
 
 pytestmark = pytest.mark.alone
 
@@ -128,6 +129,19 @@ def test_a_terminal_ends_with_what_to_do_and_the_block_to_paste(reports):
     assert pages.result(reports["cost"]).notes[-2] == reports["cost"].verdict.sentence
 
 
+def test_the_table_of_energies_adds_up(reports):
+    report = reports["compare"]
+    (table,) = (t for t in pages.result(report).tables if t.caption.startswith("Where energy went"))
+    titles, *columns = zip(*table.rows, strict=True)
+    end = titles.index("= at the end")
+    for column, variant in zip(columns, report.variants, strict=True):
+        signs = [-1.0 if title.startswith("−") else 1.0 for title in titles[:end]]
+        assert np.dot(signs, column[:end]) == pytest.approx(column[end], rel=1e-9)
+        assert sum(column[end + 1 :]) == pytest.approx(column[end])
+        assert column[titles.index("− damping")] == variant.balance.dissipated["damping"]
+    assert not any("wind" in title for title in titles)  # nothing blows
+
+
 @pytest.mark.browser
 @WITHOUT_BROWSER
 @pytest.mark.parametrize("study", REPORTS)
@@ -157,6 +171,20 @@ def test_the_page_opens_in_a_browser_without_server_and_network(written, study, 
             assert page.evaluate(DRAWN, name) > 10
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
         browser.close()
+
+
+@pytest.mark.browser
+@WITHOUT_BROWSER
+@pytest.mark.parametrize("study", REPORTS)
+def test_a_page_shows_whole_tables_on_a_laptop_and_scrolls_them_alone_on_a_phone(written, study, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(written[study][0], encoding="utf-8")
+    beyond, tables = overflow(path, 1100)
+    assert beyond <= 0
+    assert max(tables) <= 0
+    beyond, tables = overflow(path, 390)
+    assert beyond <= 0
+    assert max(tables) > 0
 
 
 def test_every_plot_is_a_picture_of_its_own_and_the_same_each_time(reports):

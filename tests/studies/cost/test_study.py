@@ -1,8 +1,10 @@
 """What accuracy costs: the study finds known orders, sees waste, and refuses what it cannot judge."""
 
 import math
+import statistics
 import time
 import tomllib
+from dataclasses import replace
 from itertools import pairwise
 
 import msgspec
@@ -17,6 +19,7 @@ from sim.settings import change
 from sim.studies.cost import plan as planning
 from sim.studies.cost import study
 from sim.studies.cost import trace as traces
+from sim.studies.cost.ensemble import bands
 from sim.studies.cost.front import cheapest, front
 from sim.studies.cost.measures import Measures, distances, size
 from sim.studies.cost.nested import nested
@@ -84,6 +87,28 @@ def test_the_floor_is_a_tenth_of_the_smallest_error_and_the_larger_of_both_check
 def test_a_reference_that_is_too_coarse_is_refused(swing, finer):
     with pytest.raises(ReferenceError, match=r"the reference is too coarse: .* expected a tenth"):
         cost(swing, seconds=0.2, effort=FEW, jobs=1, finer=finer)
+
+
+@pytest.mark.parametrize("effort", [planning.QUICK, planning.USUAL])
+def test_a_reference_that_is_too_coarse_at_first_is_refined_twice(swing, effort):
+    effort = replace(effort, integrators=FEW.integrators, members=1, ensemble=0, minutes=math.inf)
+    found = cost(swing, seconds=0.2, effort=effort, jobs=1, finer=3)
+    assert found.reference.refined == 2
+    assert MARGIN * found.floor <= min(r.error for r in found.runs)
+
+
+def test_a_reference_for_which_there_is_time_for_one_look_alone_is_none(swing, monkeypatch):
+    left = {study.REFERENCE_SHARE: 0.0}
+    monkeypatch.setattr(study._Study, "_limit", lambda _, share: left.get(share, math.inf))
+    with pytest.raises(ReferenceError, match=r"comes no farther than 0.0167 s .*; ask for --full"):
+        cost(swing, seconds=0.2, effort=FEW, jobs=1)
+
+
+def test_a_recommendation_from_a_part_of_the_time_says_so(swing, monkeypatch):
+    monkeypatch.setattr(study, "comparable", lambda *_: 3)
+    effort = planning.Effort(0, 0, ("backward_euler", "sdirk2"), 1, 1, 0, 0, math.inf)
+    found = cost(swing, seconds=0.17, effort=effort, jobs=1)
+    assert "in the first 0.05 s of this scene" in found.verdict.sentence
 
 
 def test_a_refusal_is_of_a_look_that_could_have_been_used_and_names_both_numbers():
@@ -180,6 +205,26 @@ def test_progress_goes_from_nothing_to_all_and_never_back(swing):
 
 
 # Its parts
+
+
+def test_bands_are_the_spread_of_seeded_runs_past_the_horizon_and_the_same_wherever_they_are_made(landing):
+    found = []
+    for jobs in (1, 2):
+        cases = [Case(sim.load_scene(landing), {}, 1 / 60, 6, ((1e-3, 1 + m),)) for m in range(3)]
+        with workers(jobs) as run_all:
+            found.append(list(bands("chosen", list(run_all(cases)), 2)))
+    assert found[0] == found[1]
+    radius = next(b for b in found[0] if b.observable == "drape radius")
+    ends = [run(case).observables["drape radius"][-1] for case in cases]
+    assert radius.members == 3
+    assert radius.mean[-1] == pytest.approx(statistics.mean(ends), rel=1e-12)
+    assert radius.deviation[-1] == pytest.approx(statistics.stdev(ends), rel=1e-6)
+
+
+def test_runs_that_end_before_the_horizon_or_stand_alone_make_no_band(swing):
+    short, long = (run(Case(sim.load_scene(swing), {}, 1 / 60, looks)) for looks in (2, 4))
+    assert list(bands("chosen", [short, long], 2)) == []
+    assert all((b.members, len(b.times)) == (2, 5) for b in bands("chosen", [short, long, long], 2))
 
 
 def test_runs_are_the_same_to_the_bit_in_other_processes(swing):
