@@ -12,12 +12,12 @@ import msgspec
 from server.digits import written
 from server.palette import MAX_VARIANTS
 from sim.scene import Scene
-from sim.settings import FIELDS, Field, Settings, convert
+from sim.settings import FIELDS, READ_OUTS, Field, Settings, convert
 
 CORES = os.cpu_count() or 1
 """Of this computer's processors."""
 
-NOT_COMPARED = {"threads", "seed"}
+NOT_COMPARED = {"threads", "seed", *READ_OUTS}
 """Settings that change no cloth, or only by chance."""
 
 FAILS = "fails on purpose"

@@ -34,12 +34,29 @@ INTERRUPTED = "interrupted"
 
 @dataclass
 class Outcome:
-    """What came of a run: the simulation as it ended, a report for each step, and why it ended."""
+    """What came of a run: the simulation as it ended, a report for each step, what crossed, why it ended."""
 
     world: Simulation
     reports: list[StepReport] = field(default_factory=list)
     wall: float = 0.0
     stopped: str = ""
+    crossings: list[int] = field(default_factory=list)
+
+    def step(self) -> None:
+        """Take a step, and count what crosses after it where that is forced on."""
+        self.reports.append(self.world.step())
+        if self.world.settings.crossings == "on":
+            self.count("after every step")
+
+    def count(self, when: str) -> None:
+        """Count what crosses now, and have the last step tell of it."""
+        if not self.reports:
+            self.crossings.append(self.world.crossings())
+            return
+        report = self.reports[-1]
+        with report.spent("crossings"):
+            self.crossings.append(self.world.crossings())
+        report.effects["crossings"] = f"ran: counted {when}"
 
 
 def run(
@@ -105,10 +122,10 @@ def _step_on(outcome: Outcome, recording: Recording | None, steps: int, stepped:
     """Take the steps, up to a failure or Ctrl-C; what was done until then stays."""
     from sim.simulation import StepError
 
-    world, begin = outcome.world, time.perf_counter()
+    begin = time.perf_counter()
     try:
         for _ in range(steps):
-            outcome.reports.append(world.step())
+            outcome.step()
             if recording is not None and recording.due:
                 recording.add()
             stepped()
@@ -129,6 +146,8 @@ def _progress() -> Progress:
 def summarise(outcome: Outcome) -> dict[str, Any]:
     """The run as numbers: medians over the steps, so that the one that compiled does not count."""
     world, reports = outcome.world, outcome.reports
+    if world.settings.crossings != "off" and not outcome.crossings:
+        outcome.count("at the end")
     phases = dict.fromkeys(name for report in reports for name in report.ms)
     ms = {name: median(report.ms.get(name, 0.0) for report in reports) for name in phases}
     dt = world.settings.dt
@@ -149,7 +168,8 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
         "iterations": _spread(report.iterations for report in reports),
         "contacts": _spread(report.contacts for report in reports),
         "penetrations": _spread(report.penetrations for report in reports),
-        "crossings": world.crossings(),
+        "crossings": outcome.crossings[-1] if outcome.crossings else None,
+        "crossings_most": max(outcome.crossings, default=None),
         "energy": world.energy(),
         "energy_injected": sum(report.energy_injected for report in reports),
         "energy_jumps": sum(report.energy_jumps for report in reports),
@@ -187,7 +207,10 @@ def _table(summary: dict[str, Any]) -> Table:
     for name in ("iterations", "contacts", "penetrations"):
         spread = summary[name]
         table.add_row(f"{name}: mean, most", f"{spread['mean']:.1f}, {spread['most']:,}")
-    table.add_row("crossings at the end", f"{summary['crossings']:,}")
+    crossings = "off"
+    if summary["crossings"] is not None:
+        crossings = f"{summary['crossings']:,}, {summary['crossings_most']:,}"
+    table.add_row("crossings: at the end, most", crossings)
     for name, value in summary["energy"].items():
         table.add_row(f"{name} energy at the end [J]", f"{value:.4g}")
     for name, unit in (("linear", "kg m/s"), ("angular", "kg m²/s")):

@@ -29,7 +29,7 @@ from server.ringdown import RingDown, measure_damping
 from sim.effects import find_effect, switch
 from sim.mesh import build_mesh
 from sim.scene import Scene, SceneError, load_scene, scene_files
-from sim.settings import FIELDS, Settings
+from sim.settings import FIELDS, Settings, differing, only_read_outs
 
 _log = logging.getLogger(__name__)
 
@@ -237,15 +237,15 @@ class Lab:
     def _change(self, comparison: Comparison) -> None:
         """Have other settings of the same variants, while they run."""
         before, self._comparison = self._comparison, comparison
-        self._forget_damping()
+        new = [comparison.settings(i) for i in range(comparison.count)]
+        changes = [differing(before.settings(i), settings) for i, settings in enumerate(new)]
+        if not all(map(only_read_outs, changes)):
+            self._forget_damping()
         self._page.panel.show_relevance(comparison)
         for i in range(len(self._bench.lanes)):
-            old, new = before.settings(i), comparison.settings(i)
-            changes = {
-                name: getattr(new, name) for name in FIELDS if getattr(new, name) != getattr(old, name)
-            }
-            if changes:
-                self._bench.change(i, changes, new)
+            if changes[i]:
+                self._bench.change(i, changes[i], new[i])
+            if changes[i] and not only_read_outs(changes[i]):
                 self._prober.changed(i)
 
     def _change_on_page(self, comparison: Comparison, what: str) -> None:

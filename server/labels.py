@@ -21,6 +21,9 @@ ALARM_WIDTH = 27
 OLD = 5.0
 """Simulated time [s] after which a local error is said to be of an earlier moment."""
 
+OFF = "off"
+"""Said in the place of a read-out that is switched off."""
+
 ON_PURPOSE = "wrong on purpose"
 """Said of a variant that shows a mistake."""
 
@@ -100,6 +103,8 @@ def label(
 def error_text(reading: Reading) -> str:
     """A local error in percent; where it is not known to a tenth, what it is about, at least, or at most."""
     found = reading.found
+    if reading.off:
+        return OFF
     if found is None:
         return "measuring" if reading.measuring else f"{UNKNOWN} %"
     sign, error = "", found.error
@@ -113,7 +118,7 @@ def error_text(reading: Reading) -> str:
 def error_hint(reading: Reading) -> str:
     """What a local error is, and how it is known; why it is not, if so."""
     if reading.found is None:
-        return reading.why_not or "Not measured yet."
+        return "Switched off." if reading.off else reading.why_not or "Not measured yet."
     at = f"Of a frame from {reading.time:.2f} s, as part of the cloth's size"
     if reading.quick:
         quick = "about so much, beside a run with a quarter of the step. In a pause it is measured better."
@@ -130,13 +135,16 @@ def measured(meter: Meter) -> str:
     """Milliseconds per step and local error, with its time if old; below, what is inside and what crosses."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
     at = f" at {meter.reading.time:.1f} s" * is_old(meter)
-    return "\n".join([f"{ms} ms · {error_text(meter.reading)}{at}", *crossed(meter)])
+    what = "error " * meter.reading.off
+    return "\n".join([f"{ms} ms · {what}{error_text(meter.reading)}{at}", *crossed(meter)])
 
 
 def crossed(meter: Meter) -> list[str]:
     """Vertices in obstacles and edges through triangles, a line for each where there are some."""
+    vertices = f"▲ {meter.inside} in obstacles" if meter.inside else ""
+    if meter.is_off("crossings"):
+        return list(filter(None, [vertices, f"crossings {OFF}"]))
     if meter.inside is None or meter.crossings is None:
         return [f"{UNKNOWN} crossings"]
-    vertices = f"▲ {meter.inside} in obstacles" if meter.inside else ""
     edges = f"▲ {meter.crossings} crossing{'s' * (meter.crossings != 1)}" if meter.crossings else ""
     return list(filter(None, [vertices, edges])) or ["nothing crosses"]

@@ -77,6 +77,7 @@ class Frame:
         ms: Mean milliseconds per step of those, by phase and "total"; None when there were none.
         report: The last step's report, None before the first.
         crossings: How many edges go through triangles now; None where that was not counted.
+        counting: What counting took of the time of steps so far, as a part; None where nothing is counted.
         energy: Energies [J] by kind; these, ledger and momentum may be FIGURES_EVERY old.
         ledger: Where energy went, None where no books are kept.
         momentum: Linear [kg m/s] and angular momentum about the origin [kg m²/s], each (3,).
@@ -93,6 +94,7 @@ class Frame:
     ms: Mapping[str, float] | None = None
     report: Any = None
     crossings: int | None = None
+    counting: float | None = None
     energy: Mapping[str, float] = field(default_factory=dict)
     ledger: Any = None
     momentum: tuple[np.ndarray, np.ndarray] | None = None
@@ -138,6 +140,7 @@ class Lane(threading.Thread):
         self._refused = self._blamed = self._note = ""
         self._spent: list[Mapping[str, float]] = []
         self._count_next, self._count_due = False, 0.0
+        self._counted = self._stepped = 0.0
         self._figures, self._figures_due = {}, 0.0
 
     def send(self, command: Advance | Change | Reset | Ask) -> None:
@@ -212,7 +215,7 @@ class Lane(threading.Thread):
 
     def _start(self, settings: Settings) -> None:
         self._settings, self._owed, self._spent, self._count_next = settings, 0.0, [], True
-        self._figures_due = 0.0
+        self._figures_due = self._counted = self._stepped = 0.0
         self._refused = self._blamed = self._note = ""
         self._doing = ("starting", perf_counter())
         self._world = self._report = None
@@ -240,6 +243,7 @@ class Lane(threading.Thread):
             self._refuse("change failed", error)
             return
         self.step_length, self._figures_due = self._world.settings.dt, 0.0
+        self._count_next |= "crossings" in values
         self._refused = self._blamed = self._note = ""
 
     def _step(self) -> None:
@@ -251,6 +255,7 @@ class Lane(threading.Thread):
             return
         self._owed -= self.step_length
         self._spent.append(report.ms)
+        self._stepped += 1e-3 * report.ms["total"]
         self._report = report
 
     def _refuse(self, what: str, error: Exception) -> None:
@@ -276,6 +281,7 @@ class Lane(threading.Thread):
             ms=mean_ms(self._spent),
             report=self._report,
             crossings=crossings,
+            counting=self._counted / max(self._stepped, ROUNDING) if self._counts else None,
             **figures,
             settings=world.settings,
             refused=self._refused,
@@ -294,12 +300,19 @@ class Lane(threading.Thread):
             self._figures = {"energy": energy, "ledger": ledger, "momentum": world.momentum()}
         return self._figures
 
+    @property
+    def _counts(self) -> bool:
+        """Whether what crosses is counted at all."""
+        return self.counting and self._world.settings.crossings != "off"
+
     def _crossings(self) -> int | None:
         """How many edges go through triangles, where that is asked for or takes no more than its share."""
-        begin = perf_counter()
-        if not self.counting or (not self._count_next and begin < self._count_due):
+        begin, asked = perf_counter(), self._count_next or self._world.settings.crossings == "on"
+        if not self._counts or (not asked and begin < self._count_due):
             return None
         count, end = self._world.crossings(), perf_counter()
+        if self._report is not None:
+            self._counted += end - begin
         if not self._count_next:  # at the start, kernels may have had to be loaded first
             self._count_due = end + (end - begin) / SHARE
         self._count_next = False

@@ -30,6 +30,11 @@ class Meter:
         self.reading: Reading = NO_READING
         self._frames: list[Frame] = []
 
+    def is_off(self, read_out: str) -> bool:
+        """Whether one of READ_OUTS is switched off, so that what was read holds no longer."""
+        settings = self.latest.settings
+        return settings is not None and getattr(settings, read_out) == "off"
+
     def add(self, frame: Frame) -> None:
         """Take in a frame; one that was taken in before is left out."""
         if frame is not self.latest:
@@ -49,6 +54,8 @@ class Meter:
         counted = [frame.crossings for frame in self._frames if frame.crossings is not None]
         if counted:
             self.crossings = max(counted)
+        if self.is_off("crossings"):
+            self.crossings = None
         if self.latest.refused:
             self.ms = self.inside = self.crossings = None
             self.reading = NO_READING

@@ -17,7 +17,7 @@ from server.relevance import why_idle
 from server.rescue import Rescue
 from server.switches import Switches
 from sim.scene import Scene
-from sim.settings import FIELDS
+from sim.settings import FIELDS, READ_OUTS
 
 if TYPE_CHECKING:
     from server.lab import Lab
@@ -117,11 +117,15 @@ class Panel:
         {PLAY: self._lab.play, PAUSE: self._lab.pause, STEP: self._lab.step, RESET: self._lab.reset}[option]()
 
     def _add_tabs(self) -> None:
-        """A tab for each group of settings, in the order of their definition, and one for the view."""
+        """A tab for each group of settings, in the order of their definition; one for effects, one to look.
+
+        Read-outs have no other control than their switch among the effects.
+        """
         tabs = self._gui.add_tab_group()
-        for group in dict.fromkeys(field.group for field in FIELDS.values()):
+        fields = [field for field in FIELDS.values() if field.name not in READ_OUTS]
+        for group in dict.fromkeys(field.group for field in fields):
             with tabs.add_tab(group):
-                for field in FIELDS.values():
+                for field in fields:
                     if field.group == group:
                         self._shared[field.name] = self._setting(field.name, field.default)
         with tabs.add_tab("Effects"):

@@ -4,8 +4,9 @@ The time that probes take is accounted for: while time runs, all together take a
 steps take, of which a thread that steps aside takes no more than its own processor time. Steps of several
 lanes count once: lanes wait for each other, so that what one of them loses, all do. What a change made out of
 date is measured as soon as changes have settled, paid for or not; regular ones wait until that is made up
-for. All of these are quick: one that is late is of another cloth. In a pause, when no lane waits for
-anything, they are measured to a tenth as well, until time runs again. While nobody looks nothing is measured.
+for, unless the read-out is forced on. All of these are quick: one that is late is of another cloth. In a
+pause, when no lane waits for anything, they are measured to a tenth as well, until time runs again. While
+nobody looks nothing is measured, nor where the read-out is off.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from sim.report import StepError
 
 if TYPE_CHECKING:
     from server.bench import Bench
+    from server.lane import Lane
 
 _log = logging.getLogger(__name__)
 
@@ -71,6 +73,8 @@ class Reading:
         trend: How it goes: "↗", "→", "↘", or nothing yet.
         time: Simulated time [s] of the state that it is of.
         quick: Whether it is beside a run that is not much finer, and so not known to a tenth.
+        off: Whether it is never measured.
+        share: What all measurements had taken by then of the time of steps, as a part.
     """
 
     found: Any = None
@@ -79,9 +83,11 @@ class Reading:
     trend: str = ""
     time: float = -1.0
     quick: bool = False
+    off: bool = False
+    share: float = 0.0
 
 
-NO_READING, MEASURING = Reading(), Reading(measuring=True)
+NO_READING, MEASURING, OFF = Reading(), Reading(measuring=True), Reading(off=True)
 
 
 class _Due(NamedTuple):
@@ -100,7 +106,8 @@ class Prober:
 
     Attributes:
         readings: By variant.
-        spent: Processor time [s] that probes took while time ran, of `stepped` that the slowest lane stepped.
+        spent: Processor time [s] that probes took while time ran and that is not forgiven, of `stepped` that
+            the slowest lane stepped; `taken` is all of it.
     """
 
     def __init__(self, post: Callable) -> None:
@@ -119,14 +126,18 @@ class Prober:
         self._seen: Sequence[Frame | None] = [None] * count
         self.readings = [MEASURING] * count
         self._changed, self._failed = perf_counter(), -RETRY
-        self.spent = self.stepped = self._took = 0.0
+        self.spent = self.taken = self.stepped = self._took = 0.0
 
     def changed(self, index: int) -> None:
         """A setting of a variant has changed, or it began again: what was measured holds no longer."""
         if index < len(self._versions):
-            self._versions[index] += 1
-            self.readings[index] = MEASURING
-            self._changed = perf_counter()
+            self._forget(index, MEASURING)
+
+    def _forget(self, index: int, reading: Reading) -> None:
+        """Have this reading instead of what was measured of a variant, or is."""
+        self._versions[index] += 1
+        self.readings[index] = reading
+        self._changed = perf_counter()
 
     def stop(self) -> None:
         """End the thread after the step that it is in, which is waited for, but not for long.
@@ -144,6 +155,9 @@ class Prober:
         took = [1e-3 * f.ms["total"] * f.steps for f, seen in frames if f is not seen and f.ms]
         self.stepped += max(took, default=0.0)
         self._seen = bench.finished or self._seen
+        for i, choice in enumerate(map(_choice, bench.lanes[: len(self.readings)])):
+            if (choice == "off") != self.readings[i].off:
+                self._forget(i, OFF if choice == "off" else MEASURING)
         if bench.playing and self._patient is not None:
             self._versions[self._patient] += 1  # it would take from the lanes, for seconds
             self._patient = None
@@ -175,6 +189,7 @@ class Prober:
         if perf_counter() < self._changed + SETTLE:
             return None
         able = [i for i, lane in enumerate(bench.lanes) if lane.ready and not lane.frame.refused]
+        able = [i for i in able if not self.readings[i].off]
         for i in able:
             reading = self.readings[i]
             moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not
@@ -182,7 +197,8 @@ class Prober:
                 return _Due(i, quick=True)
         if not bench.playing:
             return next((_Due(i) for i in able if self.readings[i].quick), None)
-        paid = self.spent + self._took <= SHARE * self.stepped
+        forced = any(_choice(bench.lanes[i]) == "on" for i in able)
+        paid = forced or self.spent + self._took <= SHARE * self.stepped
         if not able or not paid or perf_counter() < self._failed + RETRY:
             return None
         return _Due(next((i for i in able if i >= self._turn), able[0]), quick=True, regular=True)
@@ -205,7 +221,8 @@ class Prober:
             trend = "↗" if ratio > RISING else "↘" if ratio * RISING < 1.0 else "→"
         if due.quick:
             self._took = found.took
-        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick)
+        share = self.taken / max(self.stepped, 1e-9)
+        self.readings[due.variant] = Reading(found, False, "", trend, state.time, quick, share=share)
 
     # The prober's own thread.
 
@@ -252,8 +269,14 @@ class Prober:
         if token[0] == self._run:
             self._busy = False
             if booked:
+                self.taken += took
                 self.spent = min(self.spent + took, SHARE * self.stepped + DEBT)
         then(result if self._holds(token) else Stopped())
+
+
+def _choice(lane: Lane) -> str:
+    """How the read-out is switched in a variant; auto before there is one."""
+    return "auto" if lane.frame.settings is None else lane.frame.settings.local_error
 
 
 def _measure(probe: Any, state: Any, quick: bool) -> Any:

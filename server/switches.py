@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from server.comparison import comparable
+from server.controls import tooltip
 from sim.effects import CHOICES, EFFECTS, Effect, effects_with, state
-from sim.settings import Settings
+from sim.settings import FIELDS, READ_OUTS, Settings
 
 if TYPE_CHECKING:
     from server.panel import Panel
@@ -35,7 +36,8 @@ def hint(effect: Effect) -> str:
     """What an effect does, and how it is left out."""
     ((setting, value),) = effect.off.items()
     how = f'"{effect.obstacle}={value}"' if effect.obstacle else value
-    return f"What it does: {effect.changes}. Off: {setting} = {how}."
+    what = f"What it does: {effect.changes}. Off: {setting} = {how}."
+    return f"{what}  ·  {tooltip(FIELDS[setting])}" if setting in READ_OUTS else what
 
 
 class Switches:

@@ -11,6 +11,7 @@ import numpy as np
 from server import style
 from server.digits import share_text, written
 from server.labels import (
+    OFF,
     ON_PURPOSE,
     effects,
     error_hint,
@@ -21,6 +22,7 @@ from server.labels import (
 )
 from server.meter import Meter
 from server.palette import VARIANTS
+from server.read_outs import ReadOut, read_outs
 from sim.accounts import DISSIPATED, INJECTED, meaning
 from sim.effects import cost, does
 
@@ -74,7 +76,7 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
             style.UNKNOWN if (factor := real_time(meter)) is None else written(factor, 2),
             error_cell(meter),
             trouble_text(meter.inside),
-            trouble_text(meter.crossings),
+            OFF if meter.is_off("crossings") else trouble_text(meter.crossings),
         ]
         title = f"<td>{style.chip(VARIANTS[i])}{escape(name)}</td>"
         rows.append(f"<tr>{title}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
@@ -175,6 +177,8 @@ def ledger_rows(meters: Sequence[Meter], digits: int) -> list[Row]:
     """What went where since the start [J]: each entry that any variant has, and what does not add up."""
     ledgers = [meter.latest.ledger for meter in meters]
     known = [ledger for ledger in ledgers if ledger is not None]
+    if any(meter.is_off("ledger") for meter in meters):  # in all of them: it is nothing to compare by
+        return [Row("energy ledger", "Where energy went, entry by entry.", [OFF] * len(meters), True)]
     if not known:
         return []
     floor = max(NOTHING, SLIGHT * max(ledger.turnover for ledger in known))
@@ -231,17 +235,23 @@ def effects_table(names: Sequence[str], meters: Sequence[Meter]) -> str:
     """Which effects ran in each variant and what they took of the newest step, or why they did not run."""
     parts = []
     for i, (name, meter) in enumerate(zip(names, meters, strict=True)):
-        rows = "".join(effect_row(*said, meter.latest.report) for said in effects(meter).items())
+        beside = read_outs(meter)
+        said = ((*pair, meter.latest.report, beside.get(pair[0])) for pair in effects(meter).items())
+        rows = "".join(effect_row(*about) for about in said)
         parts.append(
             f"<h1>{style.chip(VARIANTS[i])}{escape(name)}</h1><table>{rows or style.UNKNOWN}</table>"
         )
     return f'<div class="muslin effects">{"".join(parts)}</div>'
 
 
-def effect_row(name: str, word: str, report: Any) -> str:
-    """What a step says about one effect, and its part of the step's time; an unstable one is bad."""
+def effect_row(name: str, word: str, report: Any, beside: ReadOut | None = None) -> str:
+    """What a step, or who reads out beside it, says about an effect, and its part of the step's time.
+
+    An unstable one is bad.
+    """
+    total = report.ms.get("total", 0.0)
+    word, took = (beside.words, beside.cost(total)) if beside else (word, cost(name, word, report))
     look = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else ""
-    took, total = cost(name, word, report), report.ms.get("total", 0.0)
     share = share_text(took, total)
     part = escape(share)
     if took.ms and total > 0.0:

@@ -57,6 +57,8 @@ class Tradeoff:
         if len(self.trails) != len(meters):
             self.clear(len(meters))
         for trail, meter in zip(self.trails, meters, strict=True):
+            if meter.reading.off:
+                trail.clear()
             if (now := point(meter)) is None:
                 continue
             if len(trail) > 1 and _apart(trail[-2], now) < APART:
@@ -74,9 +76,11 @@ class Tradeoff:
             if trail:
                 fresh = point(meters[i]) is not None
                 parts.append(_trail([_place(p, costs, errors) for p in trail], i, name, fresh))
-        if not known and any(meter.reading.measuring for meter in meters):
+        readings = [meter.reading for meter in meters]
+        measuring, off = (any(getattr(r, state) for r in readings) for state in ("measuring", "off"))
+        if not known and (measuring or off):
             middle = f'x="{LEFT + _wide() / 2:g}" y="{TOP + _high() / 2:g}" text-anchor="middle"'
-            parts.append(f"<text {middle}>measuring …</text>")
+            parts.append(f"<text {middle}>{'measuring …' if measuring else 'local error: off'}</text>")
         return (
             f'<svg class="tradeoff" viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" font-size="10" '
             f'fill="#6f675f"><title>local error against cost</title>{"".join(parts)}</svg>'

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import msgspec
 
 from sim.refusal import nearest, shown
-from sim.settings import Settings
+from sim.settings import READ_OUTS, Settings
 
 if TYPE_CHECKING:
     from sim.model import Model
@@ -68,6 +68,12 @@ class Effect:
         }
 
 
+def _read_out(setting: str, tells: str) -> Effect:
+    """What is measured of cloth."""
+    about = f"{tells}; changes nothing of the cloth"
+    return Effect(about, {setting: "off"}, {setting: "auto"}, {setting: "on"})
+
+
 EFFECTS: dict[str, Effect] = {
     "gravity": Effect("pulls all cloth down", {"gravity": (0.0, 0.0, 0.0)}, {"gravity": (0.0, 0.0, -9.81)}),
     "stretch": Effect("keeps edges as long as they are at rest", {"stretch": 0.0}, {"stretch": 50.0}),
@@ -98,8 +104,13 @@ EFFECTS: dict[str, Effect] = {
         "finds what meets between two instants", {"detection": "static"}, {"detection": "continuous"}
     ),
     "friction": Effect("slows what slides", {"friction": 0.0}, {"friction": 0.3}),
+    "ledger": _read_out("ledger", "tells where energy went"),
+    "local_error": _read_out("local_error", "tells what a frame is off by"),
+    "crossings": _read_out("crossings", "counts edges that go through triangles"),
 }
-"""Every effect but single obstacles, by the name that scenes, reports and pages have for it."""
+"""Every effect but single obstacles, by the name that scenes, reports and pages have for it.
+
+Read-outs are the last, each of the name of its setting, one of READ_OUTS."""
 
 OBSTACLE = "obstacle "
 """What the name of a single obstacle's effect begins with; what it is called follows."""
@@ -118,7 +129,8 @@ NONE_THERE, NO_TRIANGLES = "skipped: there are none", "skipped: no triangles"
 SPREAD_OUT = "skipped: cloth is spread out, no part of it is behind another"
 ONE_PIECE, ALONE = "skipped: there is one piece", "skipped: there is nothing to meet"
 SLACK, UNDAMPED = "skipped: their stiffness is zero", "skipped: no springs act"
-NEVER = (NONE_THERE, NO_TRIANGLES, ONE_PIECE, ALONE, SLACK, UNDAMPED)
+UNREAD = "skipped: nobody looks"
+NEVER = (NONE_THERE, NO_TRIANGLES, ONE_PIECE, ALONE, SLACK, UNDAMPED, UNREAD)
 """What is said of an effect that no step has anything for; for how many steps says nothing then."""
 
 CHOICES = ("auto", "on", "off")
@@ -299,11 +311,7 @@ class _Chosen:
     def by(settings: Settings, obstacles: Sequence[str]) -> _Chosen:
         """For a scene whose obstacles are called so."""
         effects = effects_with(obstacles)
-        off = {
-            name: f"off: {_why_off(effect)}"
-            for name, effect in effects.items()
-            if effect.has(effect.off, settings)
-        }
+        off = {name: why_off(effect) for name, effect in effects.items() if effect.has(effect.off, settings)}
         return _Chosen(settings, effects, off)
 
 
@@ -360,6 +368,8 @@ class Told:
         found["wind"] = "ran" if model.wind is not None else NO_TRIANGLES
         found["strain_limiting"] = _strain(report)
         found["friction"] = "ran" if report.contacts else "skipped: no contacts"
+        for name in READ_OUTS:
+            found[name] = "ran" if name in report.costs else UNREAD
         found |= chosen.off
         for name in chosen.effects:
             found[name] += self._streak(name, found[name], report)
@@ -392,12 +402,13 @@ class Told:
         return f"{many}; saves {saved:.2g} ms per step" if saved > 0.01 else many
 
 
-def _why_off(effect: Effect) -> str:
+def why_off(effect: Effect) -> str:
+    """What is said of an effect that is off."""
     ((name, value),) = effect.off.items()
     if effect.obstacle:
-        return f"{name} has {effect.obstacle}={value}"
+        return f"off: {name} has {effect.obstacle}={value}"
     nothing = value == 0.0 or value == (0.0, 0.0, 0.0)
-    return f"{name} is {'zero' if nothing else value}"
+    return f"off: {name} is {'zero' if nothing else value}"
 
 
 def _springs(springs: Springs, report: StepReport) -> str:

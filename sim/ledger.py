@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from sim.contact.gap import GapSprings
     from sim.integrators import State
     from sim.model import Model
+    from sim.report import StepReport
 
 Account = dict[str, float]
 
@@ -134,10 +135,13 @@ class Tally:
         model: Springs and masses.
         contacts: What the step feels.
         before: The rows of the step before, where the integrator looks back.
+        report: Is told what all this takes, but for what an explicit stage needs anyway.
     """
 
-    def __init__(self, model: Model, contacts: GapSprings, before: np.ndarray | None) -> None:
-        self._model, self._contacts, self._before = model, contacts, before
+    def __init__(
+        self, model: Model, contacts: GapSprings, before: np.ndarray | None, report: StepReport
+    ) -> None:
+        self._model, self._contacts, self._before, self._report = model, contacts, before, report
 
     def state(self, x: np.ndarray, v: np.ndarray) -> State:
         """Positions and velocities (n, 3) with nothing integrated."""
@@ -162,9 +166,11 @@ class Tally:
         """The end of a stage of backward Euler over `h` [s] from velocities and rows `v_hat`."""
         felt = stage.felt
         assert felt is not None
-        rates, end = self._rates(stage.positions, stage.velocities, felt, anew=False), np.empty_like(v_hat)
-        _integrate(stage.velocities, rates, felt.impulse, v_hat, h, end)
-        return self._below(stage.positions), end
+        with self._report.spent("ledger", alone=True):
+            rates = self._rates(stage.positions, stage.velocities, felt, anew=False)
+            end = np.empty_like(v_hat)
+            _integrate(stage.velocities, rates, felt.impulse, v_hat, h, end)
+            return self._below(stage.positions), end
 
     def rates(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Accelerations (n, 3) [m/s²] of an explicit stage, and the rows' rates below them."""

@@ -122,12 +122,18 @@ class StepReport:
     _within: float = field(default=0.0, repr=False)
 
     @contextmanager
-    def spent(self, effect: str) -> Iterator[None]:
-        """Add the time that the block takes to `costs[effect]`, beside what phases count."""
-        begin = time.perf_counter()
+    def spent(self, effect: str, alone: bool = False) -> Iterator[None]:
+        """Add the time that the block takes to `costs[effect]`, beside what phases count.
+
+        It is for this effect `alone` where what the block books for others does not count.
+        """
+        begin, booked = time.perf_counter(), (self.costs.copy(), self.costs_below.copy()) if alone else ()
         try:
             yield
         finally:
+            for costs, before in zip((self.costs, self.costs_below), booked, strict=False):
+                costs.clear()
+                costs.update(before)
             self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (time.perf_counter() - begin)
 
     def close(self, begin: float) -> None:

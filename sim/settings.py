@@ -9,7 +9,7 @@ import math
 import re
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -69,6 +69,9 @@ PAIRS = {
     "on": "all pairs are found anew and looked at every time",
 }
 """How pairs of cloth may be looked at."""
+
+READ_OUT = "Read-outs"
+"""The group of what is measured of cloth, which it changes nothing of."""
 
 SWITCHES = r"^([^=,\s][^=,]*=(on|off)(, *[^=,\s][^=,]*=(on|off))*)?\Z"
 """Names of obstacles, and how each one is switched."""
@@ -545,6 +548,48 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     seed: Annotated[
         int, number("", "Solver", "Seed of everything random.", ge=0, le=2**31 - 1, label="seed")
     ] = 0
+    ledger: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            READ_OUT,
+            "Books of where energy went, entry by entry.",
+            choices=lambda: {
+                "auto": "kept where the page shows them, or somebody asks for them",
+                "on": "kept from the first step",
+                "off": "never kept",
+            },
+            label="ledger",
+            cost="some per cent of a step",
+        ),
+    ] = "auto"
+    local_error: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            READ_OUT,
+            "The local error of a frame, measured beside the run where a page shows it.",
+            choices=lambda: {
+                "auto": "now and then, within a share of the time of steps",
+                "on": "again as soon as the last measurement is done",
+                "off": "never measured",
+            },
+            label="local error",
+            cost="auto takes less than a per cent of the time of steps, on up to a processor core",
+        ),
+    ] = "auto"
+    crossings: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            READ_OUT,
+            "Counting the edges of cloth and mesh obstacles that go through triangles.",
+            choices=lambda: {
+                "auto": "on a page now and then, within a share of the time; by `muslin run` at the end",
+                "on": "on a page after every frame; by `muslin run` after every step",
+                "off": "never counted, but where cloth starts and where a study judges it",
+            },
+            label="crossings",
+            cost="auto takes less than a per cent of the time; one count, up to as much as a step",
+        ),
+    ] = "auto"
 
     def __post_init__(self) -> None:
         for name, field in FIELDS.items():
@@ -638,6 +683,14 @@ FIELDS: Mapping[str, Field] = types.MappingProxyType(
     {f.name: _field(f.name, _ANNOTATIONS[f.name], f.default) for f in msgspec.structs.fields(Settings)}
 )
 """Every setting by name, in the order in which people should meet them."""
+
+READ_OUTS = tuple(name for name, field in FIELDS.items() if field.group == READ_OUT)
+"""Settings that change nothing of the cloth: each one switches what is measured of it."""
+
+
+def only_read_outs(names: Collection[str]) -> bool:
+    """Whether the settings of these names, of which there are some, change nothing of the cloth."""
+    return bool(names) and all(name in READ_OUTS for name in names)
 
 
 def change(settings: Settings, **changes: Any) -> Settings:

@@ -29,7 +29,7 @@ from sim.ramp import Ramp
 from sim.report import StepError, StepReport
 from sim.safe import suspect
 from sim.scene import Scene, load_scene
-from sim.settings import Settings, change
+from sim.settings import Settings, change, only_read_outs
 from sim.sleep import Rest, driven
 from sim.solve.implicit import Solution, SolveError
 from sim.solve.stepping import take_step
@@ -94,12 +94,14 @@ class Simulation:
         self._injected = 0.0
         self._limit: float | None = None
         self._books: Books | None = None
+        self._books_wanted: bool | None = None
         self._edges: Limit | None = None
         self._crossings = Crossings(self.mesh, self.contact.obstacles)
         self._told = Told()
         self._rest = Rest(self.mesh.parts, float(np.ptp(self.mesh.rest_vertices, axis=0).max()))
         self._last = StepReport()
         self.model.forget(self._positions)
+        self._open_books()
 
     def _start(self) -> tuple[np.ndarray, str]:
         """Where cloth starts (n, 3) [m], and a line where it had to be untangled."""
@@ -174,9 +176,23 @@ class Simulation:
         return None if self._books is None else self._books.ledger(self.energy(), self._injected)
 
     def keep_ledger(self, kept: bool = True) -> None:
-        """Keep an energy ledger from now on, or none; the steps are the same to the bit."""
-        self._books = Books(sum(self.energy().values()) - self._injected) if kept else None
-        self.contact.booked = kept
+        """Keep an energy ledger from now on, or none; the steps are the same to the bit.
+
+        Where `settings.ledger` is off there is none; once it is not, one is opened.
+        """
+        self._books_wanted = kept
+        self._open_books()
+
+    @property
+    def _keeps_books(self) -> bool:
+        """Whether somebody asks for a ledger, or the settings do and nobody asks for none."""
+        choice, wanted = self.settings.ledger, self._books_wanted
+        return choice != "off" and (choice == "on" if wanted is None else wanted)
+
+    def _open_books(self) -> None:
+        """Begin a ledger, if one is to be kept."""
+        self.contact.booked = self._keeps_books
+        self._books = Books(sum(self.energy().values()) - self._injected) if self._keeps_books else None
 
     def momentum(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear momentum (3,) [kg m/s] and angular momentum about the origin (3,) [kg m²/s]."""
@@ -221,8 +237,7 @@ class Simulation:
             ValueError: names field, value and bounds.
         """
         settings = self._checked(change(self.settings, **changes))
-        self._go_over(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings))
-        self._previous = self._limit = None
+        self._change(self._ramp.toward(settings) if self._time > 0.0 else Ramp.done(settings), changes)
 
     def switch(self, **changes: Any) -> None:
         """Change settings at once, as `update` without its way of going over; for comparisons, not for eyes.
@@ -230,8 +245,17 @@ class Simulation:
         Raises:
             ValueError: names field, value and bounds.
         """
-        self._go_over(Ramp.done(self._checked(change(self.settings, **changes))))
-        self._previous = self._limit = None
+        self._change(Ramp.done(self._checked(change(self.settings, **changes))), changes)
+
+    def _change(self, ramp: Ramp, changes: Mapping[str, Any]) -> None:
+        """Put the settings of `ramp` in force, which these changes make; cloth does not feel read-outs."""
+        if only_read_outs(changes):
+            self._ramp = self._ramp.toward(ramp.target)
+        else:
+            self._go_over(ramp)
+            self._previous = self._limit = None
+        if self.contact.booked != self._keeps_books:
+            self._open_books()
 
     def _checked(self, settings: Settings) -> Settings:
         """These settings, which switch no obstacles but those of the scene; else ValueError."""
@@ -278,7 +302,7 @@ class Simulation:
         self._previous = self._limit = None
         self.contact.forget()
         self.model.forget(self._positions)
-        self.keep_ledger(self._books is not None)
+        self._open_books()
 
     def _given(self, value: Any, name: str) -> np.ndarray:
         """A float64 copy of an array for all vertices (n, 3)."""
@@ -331,8 +355,8 @@ class Simulation:
             self._rest.still = snapshot.still
         self.contact.touched = snapshot.touched
         self.model.restore_memory(snapshot.memory, self._positions)
+        self._open_books()
         if self._books is not None:
-            self.keep_ledger()
             self._books = snapshot.books or self._books
 
     def step(self) -> StepReport:
@@ -429,7 +453,7 @@ class Simulation:
             springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray, guess: np.ndarray | None
         ) -> Solution:
             way = settings, x, v, self._previous if settings is self.settings else None
-            tally = Tally(self.model, springs, self._books.rows) if self._books is not None else None
+            tally = Tally(self.model, springs, self._books.rows, report) if self._books is not None else None
             try:
                 solution, report.integrator = take_step(self.model, springs, *way, tally, guess)
             except SolveError as error:
@@ -502,7 +526,8 @@ class Simulation:
             report.energy_jumps, report.energy_jump = self.model.remember(self._positions)
             if self._books is not None:
                 about = self.contact.parts, report.energy_injected, report.energy_jump, solution.rows
-                self._books = self._books.after(*about)
+                with report.spent("ledger", alone=True):
+                    self._books = self._books.after(*about)
 
     def _effects(self, report: StepReport) -> dict[str, str]:
         if INTEGRATORS[self.settings.integrator].implicit:

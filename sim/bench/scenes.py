@@ -17,6 +17,7 @@ from typing import Any
 
 from sim.effects import effects_with, state
 from sim.scene import load_scene
+from sim.settings import READ_OUTS
 from sim.simulation import Simulation
 from sim.studies import Cell, Progress, Result, Table, watched
 from sim.studies.audit import audit
@@ -86,7 +87,8 @@ def _rows(name: str, steps: int, cold: bool) -> list[tuple[Cell, ...]]:
     warm_up(scene)
     found = audit(scene, seconds=steps * scene.settings.dt)
     effects = effects_with(scene.obstacle_labels)
-    on = {n: "on" for n, effect in effects.items() if effect.on and state(n, scene.settings) != "off"}
+    skipped = (name for name, effect in effects.items() if effect.on and name not in READ_OUTS)
+    on = {name: "on" for name in skipped if state(name, scene.settings) != "off"}
     ways = {
         "on": on,
         "auto": {},

@@ -156,7 +156,10 @@ class Pipeline:
         report: StepReport,
     ) -> Way:
         poses = self.obstacles.poses(time), self.obstacles.poses(time + settings.dt)
-        part = Part(self._model, x, v) if self.booked else UNBOOKED
+        part = UNBOOKED
+        if self.booked:
+            with report.spent("ledger", alone=True):
+                part = Part(self._model, x, v)
         return Way(settings, response, time, *poses, x, v, touched, solve, report, part, touched.over)
 
     def _part(self, way: Way, halvings: int) -> tuple[Solution, Touch]:
@@ -181,7 +184,8 @@ class Pipeline:
             found = self._unfelt(way)
         if found is not None:
             if isinstance(way.part, Part):
-                way.part.close(found[0])
+                with report.spent("ledger", alone=True):
+                    way.part.close(found[0])
                 self.parts.append(way.part)
             return found
         report.substeps += 1

@@ -24,7 +24,7 @@ from sim.bench.hardware import hardware, versions
 from sim.effects import NEVER, State, chosen, effects_with, state, switch
 from sim.report import StepError, StepReport
 from sim.scene import Scene, load_scene
-from sim.settings import FIELDS, Settings, change
+from sim.settings import FIELDS, READ_OUTS, Settings, change
 from sim.simulation import Simulation, Snapshot
 from sim.studies import Progress
 from sim.studies.cost.measures import distances, size
@@ -133,7 +133,8 @@ class _Audit:
         self.base: list[_Way] = []
         self.again: list[_Way] = []
         self.error: list[float] = []
-        self.effects = effects_with(scene.obstacle_labels)
+        every = effects_with(scene.obstacle_labels).items()
+        self.effects = {name: effect for name, effect in every if name not in READ_OUTS}
         self.seen = {name: _Seen() for name in self.effects}
         self.world = Simulation(scene, **{name: getattr(settings, name) for name in FIELDS})
         self.masses, self.length = self.world.masses.copy(), size(self.world)
@@ -332,4 +333,5 @@ NOTES = (
     "cost that is smaller, or negative by so much, says nothing.",
     "Recommended to be off is what ran and changes less than the tolerance, all of it together over the "
     "whole run; what never ran is left to auto, which goes on watching for it, for the scene may change.",
+    "Read-outs (energy ledger, local error, crossings) are not judged: they change nothing of the cloth.",
 )

@@ -133,6 +133,24 @@ def test_what_crosses_is_counted_where_that_is_asked_for_whatever_it_takes(start
     assert finish(lane, Advance(0.0, counted=True)).crossings == 5
 
 
+def test_crossings_that_are_on_are_counted_after_every_frame_and_what_that_takes_is_told(start):
+    lane = start(Crossed, dt=0.01, crossings="on")
+    frames = [finish(lane, Advance(0.02)) for _ in range(5)]
+    assert [frame.crossings for frame in frames] == [2, 4, 6, 8, 10]
+    assert frames[-1].counting > 1.0, "2 ms for two steps that say that they take 1 ms each"
+
+
+def test_crossings_that_are_off_are_never_counted_whoever_asks_and_again_at_once_when_they_are_not(start):
+    lane = start(Crossed, dt=0.01, crossings="off")
+    frames = [lane.frame, *(finish(lane, Advance(0.01, counted=True)) for _ in range(5))]
+    (world,) = FakeWorld.made
+    assert not world.counts
+    assert {(frame.crossings, frame.counting) for frame in frames} == {(None, None)}
+    for choice in "auto", "off", "auto":
+        counted = finish(lane, Change({"crossings": choice})).crossings
+        assert counted == (None if choice == "off" else 5)
+
+
 class Weighed(FakeWorld):
     """Counts how often it is asked for its energy."""
 

@@ -8,10 +8,11 @@ from fake_world import FakeWorld, press_find, wait_until
 
 import server.prober
 from server.lane import Ask, Frame
-from server.prober import MEASURING, Prober, Stopped
+from server.prober import MEASURING, OFF, Prober, Stopped
 from sim.budget import Choice
 from sim.probe import LocalError
 from sim.report import StepError
+from sim.settings import Settings
 
 
 class Lane:
@@ -280,6 +281,51 @@ def test_in_a_pause_each_new_state_is_measured_once(rig):
         for _ in range(3):
             rig.prober.tick(bench, True)
     assert bench.lanes[0].asked == 2
+
+
+def switched(bench, choice):
+    """Have frames of a scene whose local error is switched so."""
+    for lane in bench.lanes:
+        lane.frame = Frame(time=lane.frame.time, settings=Settings(local_error=choice))
+
+
+def test_a_local_error_that_is_off_is_never_measured_and_what_is_under_way_ends(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    rig.gate.clear()
+    rig.prober.tick(bench, True)
+    assert bench.lanes[0].asked == 1
+    switched(bench, "off")
+    rig.prober.tick(bench, True)
+    assert not rig.prober._holds((rig.prober._run, 0, 0)), "so that it stops before its next step"
+    rig.gate.set()
+    rig.answer()
+    rig.prober.changed(0)
+    for playing in True, False:
+        bench.playing, rig.prober.spent = playing, -1.0
+        rig.prober.tick(bench, True)
+    assert rig.prober.readings[0] is OFF
+    assert bench.lanes[0].asked == 1
+    switched(bench, "auto")
+    rig.prober.tick(bench, True)
+    assert rig.prober.readings[0] is MEASURING
+    assert bench.lanes[0].asked == 2
+
+
+def test_a_local_error_that_is_on_is_measured_again_as_soon_as_the_last_is_done(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    for _ in range(4):
+        switched(bench, "on")
+        bench.step(10.0)
+        rig.prober.tick(bench, True)
+        rig.answer()
+        rig.prober.spent = 1.0  # far more than lanes have paid for
+    assert bench.lanes[0].asked == 4
+    assert rig.prober.readings[0].share == pytest.approx(rig.prober.taken / rig.prober.stepped)
+    switched(bench, "auto")
+    rig.prober.tick(bench, True)
+    assert bench.lanes[0].asked == 4
 
 
 def test_a_simulation_without_states_is_not_asked_over_and_over(lab, client):

@@ -9,6 +9,7 @@ import sim
 from server import pages
 from server.cli import main
 from sim.effects import EFFECTS
+from sim.settings import READ_OUTS
 from sim.studies.audit import audit
 from tests.worlds import ball, grid, scene
 
@@ -22,8 +23,12 @@ def named(report, name):
     return found
 
 
-def test_every_effect_is_there_once(audited):
-    assert [effect.name for effect in audited.effects] == [*EFFECTS, "obstacle 0"]
+JUDGED = [name for name in EFFECTS if name not in READ_OUTS]
+
+
+def test_every_effect_is_there_once_but_read_outs_which_change_nothing(audited):
+    assert [effect.name for effect in audited.effects] == [*JUDGED, "obstacle 0"]
+    assert any("change nothing of the cloth" in note for note in audited.notes)
 
 
 def test_gravity_and_the_obstacle_matter(audited):
@@ -121,7 +126,7 @@ def test_the_page_has_the_block_to_paste_the_plot_and_a_row_for_each_effect(audi
     page = pages.page(audited, pages.result(audited), figures)
     assert "[effects]" in page
     assert list(figures) == ["influence"]
-    for name in EFFECTS:
+    for name in JUDGED:
         assert f">{name}</td>" in page
 
 
@@ -148,4 +153,4 @@ def test_the_command_prints_the_table_and_writes_json(tmp_path, capsys):
     assert "What oscillator needs" in capsys.readouterr().out
     written = json.loads(file.read_text())
     assert written["command"].startswith("muslin audit oscillator --seconds 0.05")
-    assert {effect["name"] for effect in written["effects"]} == set(EFFECTS)
+    assert {effect["name"] for effect in written["effects"]} == set(JUDGED)
