@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from server.meter import Meter
-from sim.effects import EFFECTS, Cost, why_off
+from sim.effects import EFFECTS, Cost, cost, why_off
 from sim.settings import READ_OUTS
 
 
 class ReadOut(NamedTuple):
-    """What is said of one, and what it took of the time of steps so far, as a part."""
+    """What is said of one, and what it took of the time of steps so far, as a part; None while it is off."""
 
     words: str
-    share: float = 0.0
+    share: float | None = None
 
-    def cost(self, ms: float) -> Cost:
-        """Of a step of `ms` milliseconds."""
-        return Cost(self.share * ms, False, "on average over all steps so far, beside them")
+    def cost(self, name: str, report: Any) -> Cost:
+        """Of the step that a report is of."""
+        if self.share is None:
+            return cost(name, self.words, report)
+        took = self.share * report.ms.get("total", 0.0)
+        return Cost(took, False, "on average over all steps so far, beside them")
 
 
 def read_outs(meter: Meter) -> dict[str, ReadOut]:

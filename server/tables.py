@@ -250,7 +250,7 @@ def effect_row(name: str, word: str, report: Any, beside: ReadOut | None = None)
     An unstable one is bad.
     """
     total = report.ms.get("total", 0.0)
-    word, took = (beside.words, beside.cost(total)) if beside else (word, cost(name, word, report))
+    word, took = (beside.words, beside.cost(name, report)) if beside else (word, cost(name, word, report))
     look = "bad" if is_unstable(word) else "dim" if word.startswith(IDLE) else ""
     share = share_text(took, total)
     part = escape(share)

@@ -18,7 +18,7 @@ from sim.settings import READ_OUTS, Settings
 FOUND = Reading(LocalError(1e-3, 0.0, 1 / 60, 1.0), time=2.0, share=0.01)
 
 
-def meter(reading=FOUND, counting=0.02, crossings=3, **settings):
+def meter(reading=FOUND, counting=0.02, **settings):
     """Of a variant after one step of 10 ms."""
     report = SimpleNamespace(
         ms={"total": 10.0},
@@ -34,7 +34,7 @@ def meter(reading=FOUND, counting=0.02, crossings=3, **settings):
             ms=report.ms,
             time=2.0,
             report=report,
-            crossings=crossings,
+            crossings=3,
             counting=counting,
             settings=Settings(**settings),
             momentum=([0.0], [0.0]),
@@ -73,6 +73,7 @@ def test_the_place_of_a_read_out_that_is_off_says_so_and_not_what_was_read_last(
     assert "crossings off" in text
     table = variant_table("", ["cloth"], [off])
     assert table.count(">off<") == 2
+    assert ">0<" in table, "what is inside is no read-out"
     assert "energy ledger" in sums_table(["cloth"], [off])
     effects = effects_table(["cloth"], [off])
     assert all(f"off: {name} is off".replace("_", " ") in effects for name in READ_OUTS)
