@@ -23,13 +23,13 @@ Prepare = Callable[[Scene, Progress], Later | None]
 _log = logging.getLogger(__name__)
 
 
-def compile_kernels(scene: Scene, progress: Progress) -> Later:
+def compile_kernels(scene: Scene, progress: Progress) -> Later | None:
     """Compile every kernel that a scene's steps need, reporting each one; later, what counts crossings."""
     from sim.crossings import compile_counting
     from sim.warmup import warm_up
 
     warm_up(scene, progress=progress)
-    return compile_counting
+    return compile_counting if scene.settings.crossings != "off" else None
 
 
 class Compiler:

@@ -22,6 +22,7 @@ import numpy as np
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
+from sim import ledger
 from sim.compiled import KERNELS
 from sim.contact import intersections, outspread
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
@@ -68,6 +69,7 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
         "edge_edge": s.edge_edge,
         "drag": s.drag,
         "strain_limit": s.strain_limit,
+        "ledger": s.ledger,
         "solver": "cg",
         "tangled": s.tangled if looks else "keep",
     }
@@ -92,6 +94,8 @@ def warm_up(scene: Scene, progress: Progress | None = None) -> None:
             return looks
         if module == outspread.__name__:
             return one_sheet
+        if module == ledger.__name__:
+            return s.ledger != "off"
         if module.startswith("sim.springs."):
             return kernel in rules
         if module in {"sim.contact.broad", "sim.contact.proximity", "sim.solve.coupling"}:

@@ -44,6 +44,16 @@ def test_what_counts_crossings_is_compiled_only_where_a_start_is_looked_at():
     assert counts(compiled("drape")[0])
 
 
+def test_what_keeps_books_is_compiled_unless_the_ledger_is_off():
+    def keeps(kernels):
+        return any(name.startswith("sim.ledger.") for name in kernels)
+
+    assert keeps(compiled("cantilever", ledger="auto")[0])
+    first, more = compiled("cantilever", ledger="off")
+    assert not keeps(first | more)
+    assert not more
+
+
 def test_warming_up_leaves_nothing_to_compile_for_the_first_steps():
     for name in "drape", "flag":
         first, more = compiled(name)
