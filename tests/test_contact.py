@@ -212,12 +212,12 @@ def test_cloth_on_a_ball_comes_to_rest(newton, tolerance):
     sheet = grid((0.4, 0.4), (12, 12), position=[0, 0, 0.31])
     how = {"friction": 0.6, "newton": newton, "tolerance": tolerance}
     world, fastest = sim.Simulation(scene(sheet, ball(), gravity=[0, 0, -G], **how)), 0.0
-    while world.time < 4.0:
+    while world.time < 7.0:  # until 5 s it buckles here and there
         world.step()
     for _ in range(30):
         world.step()
         fastest = max(fastest, np.abs(world.velocities).max())
-    assert fastest < 1e-3  # it was 2 to 30 mm/s, over and over, and is 0.4 at most
+    assert fastest < 1e-4  # it was 2 to 30 mm/s, over and over, and is 0.01 at most
 
 
 @pytest.mark.parametrize("speed", [5.0, 100.0])

@@ -24,7 +24,7 @@ def swing():
 def landing():
     """The same sheet, free, falling on a ball."""
     cloth = grid(size=(0.3, 0.3), resolution=(5, 5), position=[0.0, 0.0, 0.22])
-    return scene(cloth, ball(radius=0.2), gravity=EARTH, stretch=5.0, dt=1 / 60, newton=3)
+    return scene(cloth, ball(radius=0.2), gravity=EARTH, stretch=5.0, thickness=1e-3, dt=1 / 60, newton=3)
 
 
 @pytest.fixture(scope="session")
