@@ -104,10 +104,10 @@ class GapSprings(NamedTuple):
         return np.linalg.norm(passing - along(n, passing)[:, None] * n, axis=1)
 
     def energy(self, positions: np.ndarray) -> float:
-        """Energy [J] stored at `positions` in the gap springs that push, felt or not; none of them pulls."""
+        """Energy [J] stored at `positions` in the gap springs that push; none of them can pull."""
         self.measure(positions)
         overlap = np.minimum(self.elements.q - self.elements.rest, 0.0)
-        return 0.5 * float((self.elements.stiffness + self.aside[0]) @ overlap**2)
+        return 0.5 * float(self.elements.stiffness @ overlap**2)
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) forces [N] of the gap springs that push at `positions`, without friction."""
