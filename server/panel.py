@@ -229,15 +229,16 @@ class Panel:
     def _show_own(self, comparison: Comparison) -> None:
         """One control per variant for the compared setting: made when needed, then hidden, never removed."""
         for i, value in enumerate(comparison.values):
+            label = f"● {comparison.place(i)}"
             if (comparison.by, i) not in self._own:
                 change = lambda v, i=i: self._lab.post(self._lab.set_own, i, v)  # noqa: E731
                 field, color = FIELDS[comparison.by], VARIANTS[i]
                 with self._variants:
                     control = make_control(
-                        self._gui, self._guard, field, value, change, label=f"● no. {i + 1}", color=color
+                        self._gui, self._guard, field, value, change, label=label, color=color
                     )
                 self._own[comparison.by, i] = control
-            self._own[comparison.by, i].name(f"● {comparison.place(i)}")
+            self._own[comparison.by, i].name(label)
             self._own[comparison.by, i].show(value)
         for (name, i), control in self._own.items():
             wanted = name == comparison.by and i < len(comparison.values)
