@@ -4,7 +4,7 @@ import pytest
 from fake_world import SCENE, FakeWorld, RawClient, nothing_to_compile, wait_until
 
 from server.lab import Lab
-from tests.browser import CHROMIUM, WITHOUT_GPU
+from tests.browser import launched
 
 
 class Wall:
@@ -43,10 +43,5 @@ def client(lab):
 
 @pytest.fixture(scope="module")
 def browser():
-    from playwright.sync_api import sync_playwright
-
-    assert CHROMIUM, "MUSLIN_REQUIRE_BROWSER=1, but there is no chromium"
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=WITHOUT_GPU)
+    with launched() as browser:
         yield browser
-        browser.close()

@@ -1,5 +1,7 @@
 """What tests do with the page in a real browser, as a hand would."""
 
+from tests.browser import errors_of
+
 PATIENCE = 120_000
 """Milliseconds that a browser without a graphics card may take over anything."""
 
@@ -7,9 +9,7 @@ PATIENCE = 120_000
 def visit(page, lab, url=""):
     """Open the lab's page, and note every error that it reports."""
     page.set_default_timeout(PATIENCE)
-    page.errors = []
-    page.on("console", lambda message: page.errors.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: page.errors.append(str(error)))
+    page.errors = errors_of(page)
     page.goto(url or lab.url)
 
 

@@ -19,7 +19,7 @@ from server.cost import Remaining
 from server.figures import png, svg
 from sim.integrators import INTEGRATORS
 from sim.studies.cost.report import REPORTS, schema
-from tests.browser import CHROMIUM, WITHOUT_BROWSER, WITHOUT_GPU, overflow
+from tests.browser import WITHOUT_BROWSER, errors_of, launched, overflow
 
 pytestmark = pytest.mark.alone
 
@@ -146,19 +146,13 @@ def test_the_table_of_energies_adds_up(reports):
 @WITHOUT_BROWSER
 @pytest.mark.parametrize("study", REPORTS)
 def test_the_page_opens_in_a_browser_without_server_and_network(written, study, tmp_path):
-    from playwright.sync_api import sync_playwright
-
     text, figures = written[study]
     path = tmp_path / "page.html"
     path.write_text(text, encoding="utf-8")
-    assert CHROMIUM, "MUSLIN_REQUIRE_BROWSER=1, but there is no chromium"
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=WITHOUT_GPU)
-        context = browser.new_context(offline=True)
-        page, asked, errors = context.new_page(), [], []
+    with launched() as browser:
+        page, asked = browser.new_context(offline=True).new_page(), []
         page.on("request", lambda request: asked.append(request.url))
-        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
-        page.on("pageerror", lambda error: errors.append(str(error)))
+        errors = errors_of(page)
         page.goto(path.as_uri())
         assert asked == [path.as_uri()]
         assert errors == []
@@ -170,7 +164,6 @@ def test_the_page_opens_in_a_browser_without_server_and_network(written, study, 
         for name in figures:  # markers and letters are drawn: what they refer to is found within the page
             assert page.evaluate(DRAWN, name) > 10
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-        browser.close()
 
 
 @pytest.mark.browser
