@@ -135,7 +135,7 @@ def test_strip_and_chain_hang_from_the_bar_as_a_rope_does():
 
 def test_penalty_lets_strip_and_chain_sink_into_the_bar():
     seen = film("drape2d", contact="penalty")
-    assert 0.005 < seen.deepest() < 0.05
+    assert 0.002 < seen.deepest() < 0.01 < film("drape2d", contact="penalty", dt=1 / 30).deepest()
     assert film("drape2d", contact="impulse").deepest() == 0.0
 
 
@@ -275,7 +275,7 @@ def test_three_cloths_keep_their_order_on_the_ball():
 
 def test_penalty_lets_the_stack_through_itself_and_into_the_ball():
     seen = film("stack", contact="penalty")
-    assert seen.crossings.max() > 20
+    assert seen.crossings.max() > 8
     assert seen.deepest() > 0.005
     assert seen.says("may tunnel").any()
 

@@ -1,7 +1,7 @@
 """Gap springs: the contacts that the implicit solve feels.
 
-A contact is an element like a spring, q(x) = Σ w_i n·x_i − offset with gradient w_i n, so that tension,
-damping and energy are those of `sim.elements`. Its drag across the normal is that of friction.
+A contact is an element like a spring, q(x) = Σ w_i n·x_i − offset with gradient w_i n, so that tension and
+energy are those of `sim.elements`. Its drag across the normal is that of friction.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class GapSprings(NamedTuple):
         pairs: How many of them are between vertices of the cloth.
         elements: Their gaps as coordinates.
         drag: (c,) d, the friction force per slip [N s/m].
-        aside: (3, c) stiffness, damping and drag of those that the solve does not feel yet, or no more.
+        aside: (2, c) stiffness and drag of those that the solve does not feel yet, or no more.
     """
 
     contacts: Contacts
@@ -65,8 +65,8 @@ class GapSprings(NamedTuple):
         if len(before.drag) and len(self.drag):
             twin, known = self.contacts.twins(before.contacts)
             self.take_up(known & before.acts[twin])
-            for drag, whose in ((self.drag, self.acts), (self.aside[2], ~self.acts)):
-                drag[known & whose] = (before.drag + before.aside[2])[twin[known & whose]]
+            for drag, whose in ((self.drag, self.acts), (self.aside[1], ~self.acts)):
+                drag[known & whose] = (before.drag + before.aside[1])[twin[known & whose]]
 
     def settle(self, start, positions, velocities, model, friction, h, forces) -> bool:
         """Estimate the friction anew after a solve from the velocities `start` that ended at `velocities`.
@@ -104,10 +104,10 @@ class GapSprings(NamedTuple):
         return np.linalg.norm(passing - along(n, passing)[:, None] * n, axis=1)
 
     def energy(self, positions: np.ndarray) -> float:
-        """Energy [J] stored at `positions` in the gap springs that push; none of them can pull."""
+        """Energy [J] stored at `positions` in the gap springs that push, felt or not; none of them pulls."""
         self.measure(positions)
         overlap = np.minimum(self.elements.q - self.elements.rest, 0.0)
-        return 0.5 * float(self.elements.stiffness @ overlap**2)
+        return 0.5 * float((self.elements.stiffness + self.aside[0]) @ overlap**2)
 
     def forces(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
         """(n, 3) forces [N] of the gap springs that push at `positions`, without friction."""
@@ -157,8 +157,8 @@ class GapSprings(NamedTuple):
         return self.elements.stiffness != 0.0
 
     @property
-    def _strengths(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.elements.stiffness, self.elements.damping, self.drag
+    def _strengths(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.elements.stiffness, self.drag
 
     def pushes(self, positions: np.ndarray, velocities: np.ndarray, h: float) -> np.ndarray:
         """(c,) normal impulse of each gap spring over a step that ends so [N s]."""
@@ -170,7 +170,7 @@ class GapSprings(NamedTuple):
         return self.elements.tension
 
 
-NO_GAP_SPRINGS = GapSprings(NO_CONTACTS, 0, make_elements(np.zeros((0, 4)), 0), np.zeros(0), np.zeros((3, 0)))
+NO_GAP_SPRINGS = GapSprings(NO_CONTACTS, 0, make_elements(np.zeros((0, 4)), 0), np.zeros(0), np.zeros((2, 0)))
 """What a step without contacts feels."""
 
 
@@ -221,11 +221,16 @@ def gap_springs(
     elements.rest[:] = targets(response, contacts, h)
     if response.carries:
         elements.rest[:] += force / elements.stiffness
-    elements.drift[:] = along(contacts.normal, contacts.speed)
     passing = contacts.passing(velocities)
     closing = along(contacts.normal, passing)
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
-    elements.damping[:] = np.where(closing < 0.0, response.damping * critical, 0.0)
+    damping = np.where(closing < 0.0, response.damping * critical, 0.0)
+    if response.solved:  # over a step, that is a spring from the gap at its start: one law says what pushes
+        elements.stiffness[:] += damping / h
+        elements.rest[:] += damping / h / elements.stiffness * (contacts.start - elements.rest)
+    else:
+        elements.damping[:] = damping
+        elements.drift[:] = along(contacts.normal, contacts.speed)
     sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
     apart = (force == 0.0) & (contacts.start + h * closing >= elements.rest)
     force = np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
@@ -233,7 +238,7 @@ def gap_springs(
     slowed = np.maximum(fast - settings.friction * force * h / mass, STEADY * fast)
     drag = settings.friction * force / np.maximum(slowed, CREEP)
     among = int(np.count_nonzero(kept < pairs))
-    springs = GapSprings(contacts, among, elements, drag, np.zeros((3, len(drag))))
+    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))))
     if response.solved and settings.newton > 1:
         springs.let_go(apart)
     return springs

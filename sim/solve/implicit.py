@@ -279,12 +279,11 @@ def _line_search(model, contacts, x_hat, v_hat, velocities, h, step, descent) ->
     `descent` is −∂Φ/∂v along every step without drift. Loose pieces have drifted in full before: Φ is exactly
     quadratic in that, and a shortened step would take their momentum away.
     """
-    damped = (*(s.elements for s in model.springs), contacts.elements)
     quadratic = contacts.drag_along(velocities, step)
     if model.wind is not None:
         quadratic = quadratic + model.wind.along(velocities, step)
-    for elements in damped:
-        quadratic = quadratic + damping_along(elements, velocities, step)
+    for springs in model.springs:
+        quadratic = quadratic + damping_along(springs.elements, velocities, step)
 
     def potential(t: float) -> float:
         v = velocities + t * step
