@@ -171,7 +171,10 @@ APART = {
 }
 CROSSED = {"vertices": [[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -1], [0.5, 0.5, 1], [0.6, 0.7, 1]]}
 WARNED = {
-    "edge of three faces": ({"cloth": BOOK}, "1 edge of three or more triangles: no bending there"),
+    "edge of three faces": (
+        {"cloth": BOOK},
+        r"cloth\[0\]: 1 edge of three or more triangles, between vertices \d and \d: no bending there",
+    ),
     "several components": ({"cloth": APART}, r"cloth\[0\] is in 2 parts that nothing joins"),
     "open obstacle": ({"cloth": GRID, "obstacle": [{**TRIANGLE, "position": [0, 0, -3]}]}, "no inside"),
     "sliver": (cloth(vertices=[[0, 0, 0], [1, 0, 0], [0.5, 1e-3, 0]]), "1 triangle has an angle below 1°"),
