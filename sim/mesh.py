@@ -292,8 +292,8 @@ def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: st
     for k, pin in enumerate(pins):
         if isinstance(pin, str):
             if pin not in names:
-                allowed = ", ".join(names) or "vertex indices only for this kind of cloth"
-                raise SceneError(f"{where}.pins[{k}]: expected one of {allowed}, got {shown(pin)}")
+                named = f"one of {', '.join(names)}" if names else "a vertex index for this kind of cloth"
+                raise SceneError(f"{where}.pins[{k}]: expected {named}, got {shown(pin)}")
             found.append(names[pin])
         elif not 0 <= pin < n:
             raise SceneError(
