@@ -16,6 +16,7 @@ import sim
 from server.palette import BRAND, INK, WHITE
 from server.study import WIDTH, cell_text
 from sim import stress
+from sim.refusal import counted
 from sim.stress import Figure
 from sim.stress.verdict import Verdict
 
@@ -62,7 +63,7 @@ def run_stress(
     _check(seed, runs, jobs)
     check_outputs(json=json, html=html)
     if keep is not None:
-        Path(keep).mkdir(parents=True, exist_ok=True)
+        _make_folder(keep)
         check_writable(Path(keep) / "probe")
     chosen = stress.choose(names, full)
     tasks = stress.plan(chosen, full, seed, runs)
@@ -213,6 +214,13 @@ def row(verdict: Verdict) -> tuple[str, ...]:
     return (verdict.case.name, what, value, mark, str(len(verdict.outcomes)), f"{verdict.seconds:.0f}", state)
 
 
+def _make_folder(keep: str) -> None:
+    try:
+        Path(keep).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"--keep: {keep}: no folder can be there: {error.strerror}") from None
+
+
 def counts(verdicts: Sequence[Verdict]) -> str:
     """What was run, in a sentence."""
     failed = sum(not verdict.passed for verdict in verdicts)
@@ -220,7 +228,8 @@ def counts(verdicts: Sequence[Verdict]) -> str:
     auditors = " or ".join(dict.fromkeys(v.auditor for v in verdicts if v.auditor))
     judged = f" Intersections were judged by {auditors}." if auditors else ""
     outcome = f"{failed} failed" if failed else "all passed"
-    return f"{len(verdicts)} cases, {runs:,} runs, {steps:,} steps: {outcome}.{judged}"
+    done = ", ".join((counted(len(verdicts), "case"), counted(runs, "run"), counted(steps, "step")))
+    return f"{done}: {outcome}.{judged}"
 
 
 def conditions(battery: str, seed: int) -> dict[str, object]:

@@ -205,6 +205,19 @@ def state(name: str, settings: Settings) -> State:
     return "on" if effect.has(effect.on, settings) else "auto"
 
 
+def same_cloth(one: Settings, other: Settings) -> bool:
+    """Whether two settings differ at most in what is looked at and by how many threads, not in what acts."""
+    return _as_auto(one) == _as_auto(other)
+
+
+def _as_auto(settings: Settings) -> Settings:
+    """`settings` with auto for all that is on, in one thread: the same cloth to the bit."""
+    on = [effect for effect in EFFECTS.values() if effect.has(effect.on, settings)]
+    auto = {name: value for effect in on for name, value in effect.usual.items()}
+    off = {name: how for name, how in single_obstacles(settings.each_obstacle).items() if how == "off"}
+    return msgspec.structs.replace(settings, **auto, each_obstacle=_switches(off), threads=1)
+
+
 def switch(name: str, choice: str, settings: Settings, wanted: Settings | None = None) -> dict[str, Any]:
     """The changes of settings that make an effect "off", "on" or "auto".
 

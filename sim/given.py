@@ -24,8 +24,10 @@ def points(value: Any, where: str) -> np.ndarray:
     array = numbers(value, 3, where)
     if len(array) == 0:
         raise SceneError(f"{where}: expected at least one vertex, got none")
-    if np.abs(array).max() > FARTHEST:
-        raise SceneError(f"{where}: expected coordinates within ±1e4 m, got {np.abs(array).max():g}")
+    far = np.abs(array).max(axis=1)
+    if far.max() > FARTHEST:
+        row = int(np.argmax(far))
+        raise SceneError(f"{where}[{row}]: expected coordinates within ±1e4 m, got {far[row]:g}")
     return array
 
 

@@ -87,7 +87,6 @@ def build_mesh(scene: Scene) -> Mesh:
     first = np.cumsum([0] + [len(p.vertices) for p in pieces])
     triangles = np.concatenate([p.triangles + f for p, f in zip(pieces, first, strict=False)])
     extra = np.concatenate([p.edges + f for p, f in zip(pieces, first, strict=False)])
-    hinges, hinge_warnings = build_hinges(triangles, total)
     shells, shell_warnings = read_shells(scene)
     densities = [cloth.density for cloth in scene.cloth]
     return Mesh(
@@ -95,7 +94,7 @@ def build_mesh(scene: Scene) -> Mesh:
         rest_vertices=np.concatenate([p.rest for p in pieces]),
         triangles=triangles.astype(np.int32),
         edges=distinct_edges(triangles, extra, total),
-        hinges=hinges,
+        hinges=np.concatenate([p.hinges + f for p, f in zip(pieces, first, strict=False)]).astype(np.int32),
         pieces=np.repeat(np.arange(len(pieces), dtype=np.int32), np.diff(first)),
         pinned=np.unique(np.concatenate([p.pins + f for p, f in zip(pieces, first, strict=False)])).astype(
             np.int32
@@ -104,7 +103,7 @@ def build_mesh(scene: Scene) -> Mesh:
         density=np.array([np.nan if d is None else d for d in densities]),
         given_masses=np.concatenate([p.masses for p in pieces]),
         shells=shells,
-        warnings=tuple(w for p in pieces for w in p.warnings) + hinge_warnings + shell_warnings,
+        warnings=tuple(w for p in pieces for w in p.warnings) + shell_warnings,
     )
 
 
@@ -180,6 +179,7 @@ class _Piece:
 
     vertices: np.ndarray
     triangles: np.ndarray
+    hinges: np.ndarray
     edges: np.ndarray
     pins: np.ndarray
     masses: np.ndarray
@@ -201,15 +201,17 @@ def _piece(cloth: Grid | Equilateral | MeshFile | Arrays, where: str, folder: st
         points, triangles, edges, masses, rest = _arrays(cloth, where)
         triangles, warnings = repair_triangles(points if rest is None else rest, triangles)
     n = len(points)
+    hinges, unbent = build_hinges(triangles, n)
     placed = points @ rotation_matrix(cloth.rotation).T + np.asarray(cloth.position)
     return _Piece(
         vertices=placed,
         triangles=triangles.astype(np.int64),
+        hinges=hinges,
         edges=edges,
         pins=_pins(cloth.pins, names, n, where),
         masses=np.full(n, np.nan) if masses is None else masses,
         rest=points if rest is None else rest,
-        warnings=[f"{where}: {w}" for w in warnings],
+        warnings=[f"{where}: {w}" for w in (*warnings, *unbent)],
     )
 
 
@@ -290,8 +292,8 @@ def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: st
     for k, pin in enumerate(pins):
         if isinstance(pin, str):
             if pin not in names:
-                allowed = ", ".join(names) or "vertex indices only for this kind of cloth"
-                raise SceneError(f"{where}.pins[{k}]: expected one of {allowed}, got {shown(pin)}")
+                named = f"one of {', '.join(names)}" if names else "a vertex index for this kind of cloth"
+                raise SceneError(f"{where}.pins[{k}]: expected {named}, got {shown(pin)}")
             found.append(names[pin])
         elif not 0 <= pin < n:
             raise SceneError(
@@ -326,12 +328,19 @@ def build_hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, 
     pairs = first[count == 2]
     a, b = order[pairs], order[pairs + 1]
     against = (start[a] == end[b]) & (opposite[a] != opposite[b])
+    odd = start[a[~against]], end[a[~against]]
     a, b = a[against], b[against]
     swap = start[a] > end[a]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     hinges = np.stack([start[a], end[a], opposite[a], opposite[b]], axis=1).astype(np.int32)
-    crowded, odd = int((count > 2).sum()), int((~against).sum())
-    belong, join = (counted(k, "edge") for k in (crowded, odd))
-    warnings = [f"{belong} of three or more triangles: no bending there"] if crowded else []
-    warnings += [f"{join} of triangles wound against each other: no bending there"] if odd else []
-    return hinges, tuple(warnings)
+    crowded = order[first[count > 2]]
+    warnings = _unbent(start[crowded], end[crowded], "three or more triangles")
+    return hinges, (*warnings, *_unbent(*odd, "triangles wound against each other"))
+
+
+def _unbent(starts: np.ndarray, ends: np.ndarray, of: str) -> list[str]:
+    if not len(starts):
+        return []
+    which = f"between vertices {starts[0]} and {ends[0]}"
+    which = which if len(starts) == 1 else f"the first {which}"
+    return [f"{counted(len(starts), 'edge')} of {of}, {which}: no bending there"]

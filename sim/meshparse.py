@@ -132,15 +132,22 @@ def _read_obj(data: bytes) -> Read:
     vertices: list[tuple[float, float, float]] = []
     faces = _Faces()
     lines = _Lines(data, comment=b"#")
+    ahead: list[tuple[int, int, list[str]]] = []  # faces of vertices that are still to come
     for words in lines:
         try:
             if words[0] == "v":
                 vertices.append(_point(words[1:4]))
             elif words[0] == "f":
-                faces.add([_obj_index(word, len(vertices)) for word in words[1:]])
+                corners = [_obj_index(word, len(vertices)) for word in words[1:]]
+                faces.add(corners)
+                if max(corners) >= len(vertices):
+                    ahead.append((max(corners), lines.number, words))
         except ValueError:
             raise lines.wrong("three numbers" if words[0] == "v" else CORNERS, words) from None
         faces.check_number()
+    for corner, lines.number, words in ahead:
+        if corner >= len(vertices) > 0:
+            raise lines.wrong(f"vertices 1 to {len(vertices)}", words)
     return vertices, faces.triangles, faces.polygons
 
 

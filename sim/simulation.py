@@ -20,7 +20,7 @@ from sim.contact.contacts import Touch
 from sim.contact.gap import GapSprings
 from sim.contact.pipeline import Pipeline
 from sim.crossings import Crossings
-from sim.effects import Told, check_obstacles, chosen, effects_with, state
+from sim.effects import Told, check_obstacles, chosen, effects_with, same_cloth, state
 from sim.integrators import INTEGRATORS, State
 from sim.ledger import Books, Ledger, Tally
 from sim.mesh import build_mesh
@@ -252,8 +252,11 @@ class Simulation:
         if only_read_outs(changes):
             self._ramp = self._ramp.toward(ramp.target)
         else:
+            old = self._ramp
             self._go_over(ramp)
-            self._previous = self._limit = None
+            self._limit = None
+            if not (same_cloth(old.settings, ramp.settings) and same_cloth(old.target, ramp.target)):
+                self._previous = None
         if self.contact.booked != self._keeps_books:
             self._open_books()
 

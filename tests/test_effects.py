@@ -463,6 +463,23 @@ class Pair:
         return report
 
 
+UNFELT = {"self_collision": "on"}, {"each_obstacle": "0=on"}, {"threads": 2}, {"gamma": 0.2}
+
+
+@pytest.mark.parametrize("change", UNFELT)
+def test_to_look_at_everything_from_now_on_leaves_no_trace_with_an_integrator_that_looks_back(change):
+    """Nor do other changes that change nothing: the state of one step before goes on to count."""
+    usual = {"self_collision": "auto", "gravity": [0, 0, -9.81], "gamma": 0.2}
+    made = scene(LOW, ball((0, 0, -9)), integrator="bdf2", newton=2, **usual)
+    changed, left = (sim.Simulation(made) for _ in range(2))
+    for k in range(6):
+        if k == 3:
+            changed.update(**change)
+        changed.step()
+        left.step()
+    np.testing.assert_array_equal(changed.positions, left.positions)
+
+
 def test_what_is_held_back_goes_as_far_whatever_list_there_was():
     """A spinning ring that is wound one and a half times, so that its layers cannot come apart."""
     random, along, across = np.random.default_rng(4), 25, 4

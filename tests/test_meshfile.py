@@ -193,7 +193,7 @@ def test_repairs_are_made_and_said(tmp_path):
 @pytest.mark.parametrize(
     ("name", "data", "words"),
     [
-        ("m.obj", SQUARE + b"f 1 2 9\n", "triangle 0: expected vertices 0 to 3, got [0, 1, 8]"),
+        ("m.obj", b"f 1 2 3\nf 2 3 9\n" + SQUARE, "line 2: expected vertices 1 to 4, got 'f 2 3 9'"),
         ("m.obj", SQUARE + b"f 1 2\n", "line 5: expected three or more vertex numbers, got 'f 1 2'"),
         ("m.obj", SQUARE + b"f 1 2 0\n", "line 5: expected three or more vertex numbers, got 'f 1 2 0'"),
         ("m.obj", SQUARE + b"f 1 2 -9\n", "line 5: expected three or more vertex numbers, got 'f 1 2 -9'"),

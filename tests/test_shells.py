@@ -72,7 +72,10 @@ def test_repairs_of_a_shell_are_said_and_an_open_one_has_no_inside():
             {**TETRAHEDRON, "vertices": [[0, 0, np.nan]]},
             "vertices[0]: expected 3 finite numbers, got [0, 0, nan]",
         ),
-        ({**TETRAHEDRON, "vertices": [[0, 0, 2e4]]}, "vertices: expected coordinates within ±1e4 m, got 2"),
+        (
+            {**TETRAHEDRON, "vertices": [[0, 0, 2e4]]},
+            "vertices[0]: expected coordinates within ±1e4 m, got 2",
+        ),
         ({"kind": "mesh", "file": "nowhere.obj"}, "file: nowhere.obj: no such file"),
         (
             {"kind": "mesh", "file": "body.glb"},

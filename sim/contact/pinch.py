@@ -29,6 +29,8 @@ def fit(contacts: Contacts, positions: np.ndarray) -> tuple[Contacts, int]:
     Returns:
         The contacts, and how many vertices are pinched.
     """
+    if not len(contacts.key):
+        return contacts, 0
     room = np.full(len(positions), np.inf)
     find_room(contacts, positions, room)
     pinched = room < np.inf

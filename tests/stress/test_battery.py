@@ -339,6 +339,7 @@ def test_the_command_prints_writes_and_fails_with_a_case(monkeypatch, tmp_path, 
     assert main(["stress", "--case", QUICK, "C8-at-rest", "--runs", "1", "--jobs", "1", *files]) == 1
     printed = capsys.readouterr().out
     assert "passed  N8" in printed
+    assert "2 cases, 2 runs, " in printed
     assert "FAILED  C8-at-rest" in printed
     assert "muslin stress --case C8-at-rest --seed 0 --runs 1" in printed
     found = json.loads(numbers.read_text())
@@ -363,7 +364,7 @@ def test_the_command_prints_writes_and_fails_with_a_case(monkeypatch, tmp_path, 
         (["--jobs", "0"], "--jobs: expected 1 to 10,000, got 0"),
         (["--short", "--full"], "only one of --short and --full"),
         (["--json", "/nowhere/x.json"], "/nowhere/x.json: cannot be written"),
-        (["--keep", "/proc/nowhere"], "/proc/nowhere"),
+        (["--keep", "/proc/nowhere"], "--keep: /proc/nowhere: no folder can be there"),
     ],
 )
 def test_a_call_that_makes_no_sense_is_refused_in_one_line(arguments, words, capsys):
