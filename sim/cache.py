@@ -2,7 +2,8 @@
 
 Numba notices that a kernel's own file has changed, but not the file of a helper that it calls. So each
 state of the core's sources has a cache folder of its own, in the user's cache directory, which also serves
-installations that cannot be written to. NUMBA_CACHE_DIR, where set, is left alone.
+installations that cannot be written to. Users without one, as in many containers, have a folder among
+temporary files. NUMBA_CACHE_DIR, where set, is left alone.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import hashlib
 import os
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 KEPT = 3
@@ -29,6 +31,20 @@ def cache_home() -> Path:
     return base / "muslin" / "kernels"
 
 
+def temporary_home() -> Path:
+    """The same among temporary files, for who cannot write to the other.
+
+    Raises:
+        OSError: where it is not this user's: what is in a cache is run.
+    """
+    user = getattr(os, "getuid", int)()
+    folder = Path(tempfile.gettempdir()) / f"muslin-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.lstat().st_uid != user:
+        raise PermissionError(folder)
+    return folder
+
+
 def choose_cache() -> None:
     """Point Numba at the cache folder of these sources; must run before Numba is imported."""
     if "NUMBA_CACHE_DIR" in os.environ:
@@ -36,15 +52,19 @@ def choose_cache() -> None:
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
-    folder = cache_home() / digest.hexdigest()[:16]
-    with contextlib.suppress(OSError):  # a home that cannot be written to: Numba then looks for another place
-        folder.mkdir(parents=True, exist_ok=True)
-        os.environ["NUMBA_CACHE_DIR"] = str(folder)
-        _prune(folder)
+    for home in (cache_home, temporary_home):
+        with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: there is no home
+            folder = home() / digest.hexdigest()[:16]
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            os.environ["NUMBA_CACHE_DIR"] = str(folder)
+            _prune(folder)
+            return
 
 
 def _prune(current: Path) -> None:
-    current.touch()
-    folders = sorted(current.parent.iterdir(), key=lambda f: f.stat().st_mtime, reverse=True)
-    for old in [f for f in folders if f != current][KEPT:]:
-        shutil.rmtree(old, ignore_errors=True)
+    with contextlib.suppress(OSError):  # another process may do the same just now
+        current.touch()
+        folders = sorted(current.parent.iterdir(), key=lambda f: f.stat().st_mtime, reverse=True)
+        for old in [f for f in folders if f != current][KEPT:]:
+            shutil.rmtree(old, ignore_errors=True)

@@ -161,7 +161,7 @@ class _Study:
             meshes=on_meshes,
             bands=seeded,
             verdict=verdict(runs[0], runs, found, target, self._where(look)),
-            notes=notes(runs, contact, self.effort.repeats),
+            notes=notes(runs, contact, self.effort.repeats, found),
             hardware={},
             versions={},
         )

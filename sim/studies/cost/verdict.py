@@ -124,13 +124,14 @@ def _toml(best: Run, target: float, met: bool) -> str:
     return head + tomli_w.dumps({"settings": to_builtins(differing(Settings(), best.settings))})
 
 
-def notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
+def notes(runs: Sequence[Run], contact: bool, repeats: int, sources: Sequence[Source]) -> list[str]:
     """What a reader must know to read a report right.
 
     Args:
         runs: That were made.
         contact: Whether the cloth was seen to touch anything.
         repeats: Timed runs that were planned of each.
+        sources: Of the error of the chosen run.
     """
     found = [
         "All runs start from the same state and simulate the same cloth; errors are mass-weighted distances "
@@ -143,6 +144,11 @@ def notes(runs: Sequence[Run], contact: bool, repeats: int) -> list[str]:
         "Not recommended are settings that let cloth deeper into an obstacle than the chosen ones do, or "
         f"whose energy is more wrong than theirs and than {ENERGY:.0f} times the target.",
     ]
+    if not any(source.source == "mesh" for source in sources):
+        found.append(
+            "What the mesh itself is wrong by is not told: only grids, and no larger ones than half of what "
+            "can be simulated, are made twice as fine here."
+        )
     stood_in = max((run.stood_in for run in runs), default=0.0)
     if contact and stood_in > 0.0:
         found.append(

@@ -27,7 +27,7 @@ from sim.studies.cost.plan import SOLVED
 from sim.studies.cost.reference import MARGIN, Reference, ReferenceError, refuse
 from sim.studies.cost.study import cost
 from sim.studies.cost.trace import Case, Trace, run
-from sim.studies.cost.verdict import verdict
+from sim.studies.cost.verdict import notes, verdict
 from sim.studies.cost.workers import workers
 from tests.worlds import grid, scene
 
@@ -164,6 +164,13 @@ def test_sources_turn_one_knob_each_and_the_step_dominates_a_long_step(report):
     assert "time step dominates" in report.verdict.dominates
     assert sources["mesh"].change is None  # vertices of another mesh are not compared
     assert sources["mesh"].observables["sag"] != 0.0
+
+
+def test_a_study_without_a_nested_mesh_says_that_the_meshs_part_is_not_told(report):
+    untold = "What the mesh itself is wrong by is not told"
+    others = [source for source in report.sources if source.source != "mesh"]
+    assert not any(note.startswith(untold) for note in report.notes)
+    assert any(note.startswith(untold) for note in notes(report.runs, False, 1, others))
 
 
 def test_the_error_of_a_run_is_its_distance_from_a_run_made_directly(report, swing):
