@@ -41,6 +41,10 @@ DEBT = 0.25
 
 More is forgiven, or a while of changes would leave no regular reading for much longer than it took."""
 
+OPENING = 0.5
+"""Simulated time [s] before which nothing is measured while time runs: nothing has happened yet, and where
+steps are slow the next reading is far away."""
+
 SETTLE = 0.25
 """Wall time [s] without a change after which something out of date is measured again."""
 
@@ -190,6 +194,7 @@ class Prober:
             return None
         able = [i for i, lane in enumerate(bench.lanes) if lane.ready and not lane.frame.refused]
         able = [i for i in able if not self.readings[i].off]
+        able = [i for i in able if not bench.playing or bench.lanes[i].frame.time >= OPENING]
         for i in able:
             reading = self.readings[i]
             moved = not bench.playing and reading.time != bench.lanes[i].frame.time and not reading.why_not

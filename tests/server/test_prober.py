@@ -19,8 +19,8 @@ class Lane:
     """Answers at once, in the caller's thread."""
 
     def __init__(self):
-        self.ready, self.frame, self.asked = True, Frame(), 0
-        self.state = SimpleNamespace(time=0.0, ramp=SimpleNamespace(target=None))
+        self.ready, self.frame, self.asked = True, Frame(time=1.0), 0
+        self.state = SimpleNamespace(time=1.0, ramp=SimpleNamespace(target=None))
 
     def send(self, command):
         assert isinstance(command, Ask)
@@ -85,6 +85,17 @@ def test_every_variant_is_measured_first_and_then_only_as_often_as_lanes_paid_fo
         bench.step(0.5 * 1.01e3 / server.prober.SHARE)
         rig.prober.tick(bench, True)
         assert [lane.asked for lane in bench.lanes] == asked, "both lanes' time counts once"
+
+
+def test_the_first_reading_is_of_what_has_begun_unless_it_is_paused_before(rig):
+    bench = Bench(1)
+    rig.prober.clear(lambda settings: None, 1)
+    bench.lanes[0].frame = Frame(time=0.1)
+    rig.prober.tick(bench, True)
+    assert bench.lanes[0].asked == 0
+    bench.playing = False
+    rig.prober.tick(bench, True)
+    assert bench.lanes[0].asked == 1
 
 
 def test_while_time_runs_readings_are_quick_and_in_a_pause_they_are_measured_better(rig):
