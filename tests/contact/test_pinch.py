@@ -37,22 +37,23 @@ def strain(world):
     return np.abs(np.linalg.norm(x[a] - x[b], axis=1) / length - 1.0).max()
 
 
-ONE_SIDED = pytest.mark.xfail(
-    strict=True, reason="cloth that is run over may end on one jaw, deep in the other"
-)
+EVENLY, ON_ONE = 0.5, 1.0
+"""Part of the jaws' overlap by which cloth is inside the one that it is deeper in."""
 
 
 @pytest.mark.parametrize(
-    ("kind", "gap"),
+    ("kind", "gap", "side"),
     [
-        *((kind, gap) for kind in ("box", "sphere") for gap in (1e-3, 0.0)),
-        ("box", -0.01),
-        pytest.param("box", -0.011, marks=ONE_SIDED),
-        pytest.param("sphere", -0.008, marks=ONE_SIDED),
+        *((kind, gap, EVENLY) for kind in ("box", "sphere") for gap in (1e-3, 0.0)),
+        *(("box", gap, EVENLY) for gap in (-0.01, -0.02, -0.05)),
+        ("sphere", -0.03, EVENLY),
+        # That would be better here, too; but cloth that has been run over may stay on one jaw.
+        ("box", -0.011, ON_ONE),
+        ("sphere", -0.008, ON_ONE),
     ],
 )
-def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, gap):
-    """Halfway inside both where they overlap; no faster than they close; and as good as new at the end."""
+def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, gap, side):
+    """No faster than they close; and as good as new at the end."""
     world = jaws(kind, gap)
     fastest = deepest = 0.0
     reports = []
@@ -67,7 +68,7 @@ def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, ga
     # The jaws close at 1.1 m/s at most; cloth slips out of the wedge between the balls by a few times that.
     assert fastest < 5.0
     # What both press stands still in a part of a step: in an eighth, they go 2 of 18 mm.
-    assert deepest <= max(-gap / 2, 0.0) + 2e-3
+    assert deepest <= side * max(-gap, 0.0) + 2e-3
     assert reports[-1].penetrations == 0
     assert strain(world) < 0.1
 
