@@ -36,8 +36,8 @@ SHARE = 0.0075
 
 With ledger, words of effects, crossings and figures all stays below 5 %, which a benchmark measures."""
 
-DEBT = 0.25
-"""Processor time [s] that may be owed for what changes had measured, which 33 s of steps make up for.
+DEBT = 0.1
+"""Processor time [s] that may be owed for what changes had measured, which 13 s of steps make up for.
 
 More is forgiven, or a while of changes would leave no regular reading for much longer than it took."""
 

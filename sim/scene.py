@@ -293,7 +293,7 @@ def find_scene(name: str | Path) -> Path:
 
 
 def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
-    """Read and check a scene.
+    """Read and check a scene, with its meshes.
 
     Args:
         source: Path of a TOML file, the name of a scene that comes with Muslin, or a dict of the same shape.
@@ -303,6 +303,14 @@ def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
     """
     if isinstance(source, Scene):
         return source
+    from sim.mesh import build_mesh  # which needs this module
+
+    build_mesh(scene := read_scene(source))
+    return scene
+
+
+def read_scene(source: str | Path | dict[str, Any]) -> Scene:
+    """The same without its meshes, which may be missing, or wrong."""
     if isinstance(source, dict):
         try:
             return _checked({"folder": str(Path.cwd()), **_plain(source)}, "scene", "scene")

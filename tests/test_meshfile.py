@@ -382,9 +382,9 @@ def test_names_that_are_no_mesh_file_are_refused(tmp_path, file, words):
 
 
 def test_a_scene_names_the_cloth_whose_file_is_wrong(tmp_path):
-    scene = load_scene({"cloth": {"kind": "mesh", "file": "nowhere.obj"}, "folder": str(tmp_path)})
+    cloth = {"kind": "mesh", "file": "nowhere.obj"}
     with pytest.raises(SceneError, match=r"^scene: cloth\[0\].file: nowhere.obj: no such file$"):
-        build_mesh(scene)
+        load_scene({"cloth": cloth, "folder": str(tmp_path)})
 
 
 def test_the_count_that_a_file_claims_is_the_count_that_it_has():

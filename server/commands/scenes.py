@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from server.commands.options import Overrides, SceneName, Texts, parse_settings
 from server.commands.speech import complain, say
-from sim.scene import Scene, SceneError, load_scene, scene_files
+from sim.scene import Scene, SceneError, load_scene, read_scene, scene_files
 
 
 @dataclass(kw_only=True)
@@ -79,7 +79,7 @@ class Scenes:
         table = Table("scene", "title", "vertices", "what to look for")
         table.columns[2].justify = "right"
         for path in scene_files():
-            scene = load_scene(path)
+            scene = read_scene(path)
             lesson = scene.lesson
             count = f"{n:,}" if (n := count_vertices(scene)) is not None else "–"
             table.add_row(path.stem, lesson.title if lesson else "", count, lesson.look_for if lesson else "")

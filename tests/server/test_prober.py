@@ -151,25 +151,25 @@ def test_what_is_measured_in_a_pause_ends_when_time_runs_again(rig):
 def test_what_a_change_has_measured_is_made_up_for_by_fewer_regular_ones(rig, monkeypatch):
     """Its processor time is in the account, whose share the lanes' next steps bring back to its limit."""
     now = iter(range(100))
-    monkeypatch.setattr(server.prober, "thread_time", lambda: 0.05 * next(now))
+    monkeypatch.setattr(server.prober, "thread_time", lambda: 0.02 * next(now))
     bench = Bench(1)
     rig.prober.clear(lambda settings: None, 1)
     for _ in range(3):
         rig.prober.changed(0)
         rig.prober.tick(bench, True)
         rig.answer()
-    assert rig.prober.spent == pytest.approx(0.15)
+    assert rig.prober.spent == pytest.approx(0.06)
     asked = bench.lanes[0].asked
     while bench.lanes[0].asked == asked:
         bench.step(100.0)
         rig.prober.tick(bench, True)
-    assert rig.prober.stepped == pytest.approx(0.15 / server.prober.SHARE, abs=0.2)
+    assert rig.prober.stepped == pytest.approx(0.06 / server.prober.SHARE, abs=0.2)
     rig.answer()
     bench.playing = False
     rig.prober.changed(0)
     rig.prober.tick(bench, True)
     rig.answer()
-    assert rig.prober.spent == pytest.approx(0.2), "in a pause nothing is taken from anyone"
+    assert rig.prober.spent == pytest.approx(0.08), "in a pause nothing is taken from anyone"
 
 
 def test_not_more_is_owed_than_some_seconds_make_up_for(rig, monkeypatch):
