@@ -29,7 +29,7 @@ WINDOW = 3
 SLOWEST = 0.95
 """Largest factor by which windows are taken to shrink: slower than that, their ratio is noise."""
 
-MEMORY = 0.9
+MEMORY = 0.8
 """Part of the factor of the window before that the next one's is at least."""
 
 SAFETY = 1.5
