@@ -278,6 +278,31 @@ def test_conjugate_gradients_agree_with_a_factorisation_on_uneven_meshes(kind):
         world.step()
 
 
+@pytest.mark.parametrize(("seed", "width"), [(12, 0.01), (8, 0.03)])
+def test_a_window_that_shrinks_by_luck_ends_no_iteration(seed, width):
+    """Slivers and a heavy vertex: without a memory of windows before, the error is up to 24 tolerances."""
+    points, noise = np.random.default_rng(seed).random((170, 2)), np.random.default_rng(seed)
+    points = np.concatenate([points, [[0, 0], [1, 0], [0, 1], [1, 1]]])
+    rest = np.column_stack([points * (1.0, width), np.zeros(174)])
+    start = rest + noise.normal(size=rest.shape) * 0.05 / np.sqrt(174)
+    start[1] = rest[1]
+    masses = np.full(174, 1e-6)
+    masses[0] = 1.0
+    cloth = {**delaunay(points), "vertices": rest, "masses": masses, "pins": [1]}
+    stiff = {"stretch": 800.0, "altitude": 800.0, "altitudes": "all", "bend": "angle", "bending": 2e-6}
+    more = {"gamma": 1.0, "dt": 1 / 240, "tolerance": 1e-6, "gravity": [0, 0, -9.81], "contact": "none"}
+    world = sim.Simulation(scene(cloth, **stiff, **more))
+    world.place(start)
+    for _ in range(6):
+        before, ends = world.snapshot(), []
+        for solver in ("direct", "cg"):
+            world.restore(before)
+            world.update(solver=solver)
+            world.step()
+            ends.append(world.positions.copy())
+        assert np.linalg.norm(ends[1] - ends[0], axis=1).max() <= 2.0 * world.settings.tolerance
+
+
 def test_auto_factors_where_iterations_would_take_longer():
     """Not for an easy sheet, but for eight digits more of one a million times stiffer."""
     easy = sim.Simulation(hanging(16))

@@ -6,8 +6,9 @@ of chunks, so the result is the same to the bit for any number of threads.
 The solver stops on the error at the worst vertex, not on the residual. Every WINDOW iterations it asks how
 far the farthest vertex has gone since the last time, and by what factor such windows shrink: of their size or
 of the drop of the squared error in the A-norm, Σ α r·z (Strakoš and Tichý 2002), whichever shrinks less. What
-is still to come is then their geometric series. Where an error is so local that a window has hardly begun to
-move it, the preconditioned residual still shows it, some times smaller than it is.
+is still to come is then their geometric series. A single window may shrink by luck, so that factor falls
+slowly from one to the next. Where an error is so local that a window has hardly begun to move it, the
+preconditioned residual still shows it, some times smaller than it is.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ WINDOW = 3
 
 SLOWEST = 0.95
 """Largest factor by which windows are taken to shrink: slower than that, their ratio is noise."""
+
+MEMORY = 0.8
+"""Part of the factor of the window before that the next one's is at least."""
 
 SAFETY = 1.5
 """What the estimate is multiplied by, as windows do not shrink evenly."""
@@ -159,7 +163,7 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
         for c in range(3):
             p[i, c] = z[i, c]
     _farthest(x, old)
-    estimate, went, drop, dropped = math.inf, 0.0, 0.0, 0.0
+    estimate, went, drop, dropped, rate = math.inf, 0.0, 0.0, 0.0, 0.0
     for k in range(most):
         if rz == 0.0:
             return k, 0.0, CONVERGED
@@ -178,7 +182,8 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
         if (k + 1) % WINDOW == 0:
             far = _farthest(x, old)
             if dropped > 0.0:
-                rate = min(max(math.sqrt(drop / dropped), far / went if went > 0.0 else 0.0), SLOWEST)
+                seen = max(math.sqrt(drop / dropped), far / went if went > 0.0 else 0.0)
+                rate = min(max(seen, MEMORY * rate), SLOWEST)
                 estimate = max(SAFETY * far * rate / (1.0 - rate), LEVERAGE * math.sqrt(residual))
             went, dropped, drop = far, drop, 0.0
             if estimate <= tolerance:
