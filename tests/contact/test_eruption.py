@@ -1,8 +1,13 @@
 """Steps of contact that would put in energy."""
 
+import numpy as np
+
+from sim.contact.contacts import make_contacts
+from sim.contact.eruption import erupts
 from sim.scene import load_scene
 from sim.simulation import Simulation
 from sim.solve import implicit, stepping
+from tests.worlds import grid, scene
 
 FINE = {
     "cloth": {"kind": "grid", "size": [0.4, 0.4], "resolution": [41, 41], "position": [0.0, 0.0, 0.02]},
@@ -63,3 +68,20 @@ def test_a_step_that_is_solved_again_begins_where_it_was(monkeypatch):
         begun.clear()
     first, again = begun
     assert again[0] < 0.5 * first[0]
+
+
+def test_what_strain_limiting_puts_in_is_not_held_against_contacts():
+    """It does so in halves of the step, too; 32 parts each moved a cloth of 70 vertices for seconds."""
+    world = Simulation(scene(grid(resolution=(4, 4))))
+    h, x, v = world.settings.dt, world.positions, np.zeros_like(world.positions)
+    contacts = make_contacts(1)
+    contacts.node[0], contacts.weight[0] = [0, 1, 2, 3], [1.0, 0.0, 0.0, 0.0]
+
+    def verdict(moved, limited):
+        end = Solution(x + h * moved, moved, 1, 1, 0.0, True, limited=limited)
+        return erupts(world.model, world.settings, contacts, np.zeros(1), x, v, end, end)
+
+    thrown = np.random.default_rng(0).standard_normal(x.shape)
+    assert verdict(thrown, None) == "solve"
+    assert verdict(thrown, world.masses[:, None] * thrown) == ""
+    assert verdict(2.0 * thrown, world.masses[:, None] * thrown) == "solve"
