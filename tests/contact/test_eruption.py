@@ -7,6 +7,7 @@ from sim.contact.eruption import erupts
 from sim.scene import load_scene
 from sim.simulation import Simulation
 from sim.solve import implicit, stepping
+from sim.solve.implicit import Solution
 from tests.worlds import grid, scene
 
 FINE = {
