@@ -95,7 +95,8 @@ def test_what_the_ledger_does_not_know_of_goes_with_the_tolerance(scene, setting
 def draped():
     return {
         "impulse": run("drape", 2.5, contact="impulse"),
-        "penalty": run("drape", 2.5, contact="penalty", self_collision="off"),  # or its folds would tangle
+        # Without self-collision, or its folds would tangle; without jitter all four lie in the same odd fold.
+        "penalty": run("drape", 2.5, contact="penalty", self_collision="off", jitter=1e-3),
     }
 
 

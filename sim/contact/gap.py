@@ -180,6 +180,7 @@ def gap_springs(
     pairs: int,
     inverse_masses: np.ndarray,
     predicted: np.ndarray,
+    positions: np.ndarray,
     velocities: np.ndarray,
     force: np.ndarray,
     slip: np.ndarray,
@@ -198,7 +199,8 @@ def gap_springs(
         pairs: How many of them are between vertices.
         inverse_masses: (n,) [1/kg].
         predicted: (n, 3) where vertices would go without springs and contacts [m].
-        velocities: (n, 3) at the start of the step [m/s].
+        positions: (n, 3) at the start of the step [m].
+        velocities: (n, 3) there [m/s].
         force: (c,) with which each contact pressed in the step before [N].
         slip: (c,) slip expected after that step, zero for a new contact [m/s].
         settings: dt, friction and newton are read.
@@ -227,7 +229,8 @@ def gap_springs(
     damping = np.where(closing < 0.0, response.damping * critical, 0.0)
     if response.solved:  # over a step, that is a spring from the gap at its start: one law says what pushes
         elements.stiffness[:] += damping / h
-        elements.rest[:] += damping / h / elements.stiffness * (contacts.start - elements.rest)
+        begin = contacts.gaps(positions) + h * along(contacts.normal, contacts.speed)
+        elements.rest[:] += damping / h / elements.stiffness * (begin - elements.rest)
     else:
         elements.damping[:] = damping
         elements.drift[:] = along(contacts.normal, contacts.speed)

@@ -303,7 +303,8 @@ class Pipeline:
         response = way.response
         if response is not None and way.report.pinched:  # there, forces grow from step to step without end
             response = replace(response, carries=False)
-        state = self._model.inverse_masses, end, way.v, *way.touched.ahead(contacts.key, way.settings.dt)
+        ahead = way.touched.ahead(contacts.key, way.settings.dt)
+        state = self._model.inverse_masses, end, way.x, way.v, *ahead
         springs = gap_springs(response, contacts, near, *state, way.settings)
         springs.begin_like(way.springs)
         if response is not None and not response.solved:

@@ -811,7 +811,7 @@ def bits(probe: Probe) -> Iterator[Figure]:
 def at_rest(probe: Probe) -> Iterator[Figure]:
     """What has come to rest stays there: no vertex moves from a second to the next."""
     flat = grid((0.5, 0.5), (10, 10), position=[0, 0, 0.02])
-    more = {"gravity": DOWN, "jitter": JITTER, "tolerance": STILL / 100.0}  # a solve errs by less
+    more = {"gravity": DOWN, "jitter": JITTER, "tolerance": 1e-5}  # a solve errs by less than STILL
     for name, made in (
         ("plane", felt(flat, {"kind": "plane"}, **more)),
         ("ball", felt(grid((0.4, 0.4), (12, 12), position=[0, 0, 0.31]), ball(), **more, friction=0.6)),

@@ -52,7 +52,8 @@ def springs_of(world, contacts, seed=0):
     velocities = 0.1 * np.random.default_rng(seed).standard_normal(world.positions.shape)
     velocities *= world.model.free[:, None]
     pressed = np.ones(len(contacts.key))
-    state = world.model.inverse_masses, world.positions, velocities, pressed, np.zeros(len(pressed))
+    where = world.positions, world.positions
+    state = world.model.inverse_masses, *where, velocities, pressed, np.zeros(len(pressed))
     springs = gap_springs(RESPONSES["impulse"], contacts, len(contacts.key), *state, world.settings)
     return springs, velocities
 
@@ -206,6 +207,7 @@ def test_the_settings_change_nothing_about_the_contacts_of_a_step():
     contacts = random_contacts(world, 60)
     state = (
         world.model.inverse_masses,
+        world.positions,
         world.positions,
         np.zeros_like(world.positions),
         np.ones(60),
