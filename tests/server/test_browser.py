@@ -37,7 +37,7 @@ def lab():
 
 @pytest.fixture(scope="module")
 def page(lab, browser):
-    page = browser.new_page(viewport={"width": 900, "height": 560})
+    page = browser.new_page(viewport={"width": 960, "height": 560})  # viser notes lie over 640
     visit(page, lab)
     page.wait_for_function(f"() => ({CLOTH})('variant1') != null")
     wait_until(lambda: lab.frames and all(frame.time > 0 for frame in lab.frames), seconds=120)
