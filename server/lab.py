@@ -28,7 +28,7 @@ from server.rescue import made_safe
 from server.ringdown import RingDown, measure_damping
 from sim.effects import find_effect, switch
 from sim.mesh import build_mesh
-from sim.scene import Scene, SceneError, load_scene, scene_files
+from sim.scene import Scene, SceneError, read_scene, scene_files
 from sim.settings import FIELDS, Settings, differing, only_read_outs
 
 _log = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class Lab:
         *,
         view_only: bool = False,
     ):
-        self._scene = load_scene(scene)
+        self._scene = read_scene(scene)
         self._mesh = build_mesh(self._scene)
         self._build = build
         self._scenes = {path.stem: str(path) for path in scene_files()} | {self._scene.name: str(scene)}
@@ -334,7 +334,7 @@ class Lab:
     def open_scene(self, name: str) -> None:
         """Open another scene."""
         try:
-            scene = load_scene(self._scenes[name])
+            scene = read_scene(self._scenes[name])
             mesh = build_mesh(scene)
         except SceneError as error:
             self.say(str(error))

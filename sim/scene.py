@@ -301,16 +301,18 @@ def load_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
     Raises:
         SceneError: one line with the file, the key, what was expected and what was found.
     """
-    if isinstance(source, Scene):
-        return source
-    from sim.mesh import build_mesh  # which needs this module
+    scene = read_scene(source)
+    if scene is not source:
+        from sim.mesh import build_mesh  # which needs this module
 
-    build_mesh(scene := read_scene(source))
+        build_mesh(scene)
     return scene
 
 
-def read_scene(source: str | Path | dict[str, Any]) -> Scene:
-    """The same without its meshes, which may be missing, or wrong."""
+def read_scene(source: Scene | str | Path | dict[str, Any]) -> Scene:
+    """The same without its meshes, which may be missing, or wrong: for who builds them, or needs none."""
+    if isinstance(source, Scene):
+        return source
     if isinstance(source, dict):
         try:
             return _checked({"folder": str(Path.cwd()), **_plain(source)}, "scene", "scene")

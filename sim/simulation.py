@@ -28,7 +28,7 @@ from sim.model import Model
 from sim.ramp import Ramp
 from sim.report import StepError, StepReport
 from sim.safe import suspect
-from sim.scene import Scene, load_scene
+from sim.scene import Scene, read_scene
 from sim.settings import Settings, change, only_read_outs
 from sim.sleep import Rest, driven
 from sim.solve.implicit import Solution, SolveError
@@ -81,7 +81,7 @@ class Simulation:
         effects: Mapping[str, str] | None = None,
         **overrides: Any,
     ) -> None:
-        self.scene = load_scene(scene)
+        self.scene = read_scene(scene)
         settings, known = change(self.scene.settings, **overrides), effects_with(self.scene.obstacle_labels)
         self._ramp = Ramp.done(self._checked(chosen(settings, effects or {}, known)))
         self.mesh = build_mesh(self.scene)

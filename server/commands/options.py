@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from server.commands.speech import complain
-from sim.scene import Scene, load_scene
+from sim.scene import Scene, read_scene
 
 T = TypeVar("T")
 Texts = tuple[str, ...]
@@ -91,7 +91,7 @@ def scene_and_settings(name: str, overrides: tuple[Texts, ...]) -> tuple[Scene, 
         raise ValueError("SCENE: expected a scene file, or one of `muslin scenes`, got none")
     from sim.mesh import build_mesh
 
-    scene, settings = load_scene(name), parse_settings([text for texts in overrides for text in texts])
+    scene, settings = read_scene(name), parse_settings([text for texts in overrides for text in texts])
     for warning in build_mesh(scene).warnings:
         complain(warning)
     return scene, settings

@@ -53,7 +53,7 @@ class Check:
         failures = 0
         for name in self.scenes or map(str, scene_files()):
             try:
-                mesh, warnings = check_scene(load_scene(name))
+                mesh, warnings = check_scene(read_scene(name))
             except SceneError as error:
                 failures += 1
                 complain(error)
