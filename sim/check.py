@@ -9,6 +9,7 @@ import numpy as np
 
 from sim.clearance import clearance_warnings, crossing_warnings
 from sim.mesh import Mesh, build_mesh
+from sim.refusal import counted, listed
 from sim.scene import Scene
 from sim.settings import Settings
 
@@ -55,6 +56,8 @@ def _sliver_warnings(mesh: Mesh) -> list[str]:
     lengths = np.linalg.norm(sides, axis=2)
     twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     longest_two = np.sort(lengths, axis=1)[:, 1:].prod(axis=1)
-    slivers = int((twice_area < np.sin(SLIVER) * longest_two).sum())
-    what = "triangle has" if slivers == 1 else "triangles have"
-    return [f"{slivers:,} {what} an angle below 1°"] if slivers else []
+    slivers = np.flatnonzero(twice_area < np.sin(SLIVER) * longest_two)
+    if not len(slivers):
+        return []
+    what = counted(len(slivers), "triangle has", "triangles have")
+    return [f"{what} an angle below 1°: {listed(slivers)}"]

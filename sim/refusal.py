@@ -10,11 +10,17 @@ import difflib
 import functools
 import json
 import re
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from msgspec import inspect
+
+if TYPE_CHECKING:
+    import numpy as np
+
+LISTED = 5
+"""Things that a message lists, however many there are."""
 
 SHOWN = 80
 """Characters of a value that a message shows, however long it is."""
@@ -142,3 +148,8 @@ def shown(value: Any) -> str:
 def counted(n: int, one: str, many: str = "") -> str:
     """`n` and what there are so many of."""
     return f"{n:,} {one if n == 1 else many or one + 's'}"
+
+
+def listed(things: Sequence[object] | np.ndarray) -> str:
+    """The first few of `things`, and whether there are more."""
+    return ", ".join([str(thing) for thing in things[:LISTED]] + ["…"] * (len(things) > LISTED))

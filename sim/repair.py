@@ -1,4 +1,4 @@
-"""Repair of triangles that nothing can be simulated on, each reported in one line.
+"""Repair of triangles that nothing can be simulated on, each kind reported in one line with numbers from 0.
 
 Pure NumPy on plain arrays, and quick for meshes of 50,000 triangles. What is left out or turned round is
 always said; what a solver can live with (edges of three triangles, holes, several pieces) is left alone.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.refusal import counted
+from sim.refusal import counted, listed
 
 NO_AREA = 1e-12
 """Triangles smaller than this share of the squared size of the mesh have no direction to speak of."""
@@ -27,33 +27,34 @@ def repair_triangles(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.nd
     Returns:
         (k, 3) triangles in their old order, k ≤ m, and a line for each kind of repair that was needed.
     """
-    warnings: list[str] = []
-    for repair in (_without_empty, _without_duplicates, wound_alike):
-        triangles, found = repair(vertices, triangles)
-        warnings += found
-    return triangles, warnings
+    empty = _without_area(vertices, triangles)
+    repeated = _repeated(len(vertices), triangles, ~empty)
+    warnings = _left_out(empty, "triangle without area", "triangles without area")
+    warnings += _left_out(repeated, "repeated triangle")
+    useless = empty | repeated
+    triangles, turned = wound_alike(triangles[~useless] if useless.any() else triangles)
+    return triangles, warnings + turned
 
 
 def used_vertices(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Vertices that a triangle uses, in their old order, with the triangles renumbered to fit."""
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
-    left_out = int((~used).sum())
-    if not left_out:
+    if used.all():
         return vertices, triangles, []
     number = np.cumsum(used) - 1
-    warning = f"left out {counted(left_out, 'vertex', 'vertices')} that no triangle uses{PINS}"
-    return vertices[used], number[triangles], [warning]
+    what = "vertex that no triangle uses", "vertices that no triangle uses"
+    (warning,) = _left_out(~used, *what)
+    return vertices[used], number[triangles], [warning + PINS]
 
 
-def wound_alike(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def wound_alike(triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Turn triangles round until neighbours agree, in each connected part the way most of it is wound.
 
     Neighbours are two triangles that share an edge with no third one. In the double cover of the mesh, where
     every triangle lies once as it is and once turned round and is joined to the copies that agree with it, a
     part that can be wound alike falls into two mirrored halves; a one-sided part (a Möbius strip) does not.
     """
-    del vertices  # winding is a matter of indices alone; the argument makes all repairs look alike
     first, second, agree = _neighbours(triangles)
     if agree.all():
         return triangles, []
@@ -77,33 +78,32 @@ def wound_alike(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
     return np.where(flip[:, None], triangles[:, ::-1], triangles), warnings
 
 
-def _without_empty(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def _without_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(m,) bool: triangles whose area is none beside the size of the mesh."""
     if len(triangles) == 0:
-        return triangles, []
+        return np.zeros(0, dtype=bool)
     corners = vertices[triangles]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     size = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
-    keep = area > NO_AREA * size**2
-    return _kept(triangles, keep, "triangle without area", "triangles without area")
+    return ~(area > NO_AREA * size**2)
 
 
-def _without_duplicates(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    if len(triangles) == 0:
-        return triangles, []
-    n = len(vertices)
-    low, middle, high = np.sort(triangles.astype(np.int64), axis=1).T
+def _repeated(n: int, triangles: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """(m,) bool: triangles with the same three of n vertices as one before, both `among` those that count."""
+    number = np.flatnonzero(among)
+    low, middle, high = np.sort(triangles[number].astype(np.int64), axis=1).T
     _, pair = np.unique(low * n + middle, return_inverse=True)
     _, first = np.unique(pair * n + high, return_index=True)
-    keep = np.zeros(len(triangles), dtype=bool)
-    keep[first] = True
-    return _kept(triangles, keep, "repeated triangle")
+    repeated = among.copy()
+    repeated[number[first]] = False
+    return repeated
 
 
-def _kept(triangles: np.ndarray, keep: np.ndarray, one: str, many: str = "") -> tuple[np.ndarray, list[str]]:
-    left_out = int((~keep).sum())
-    warnings = [f"left out {counted(left_out, one, many)}"] if left_out else []
-    return (triangles[keep] if left_out else triangles), warnings
+def _left_out(which: np.ndarray, one: str, many: str = "") -> list[str]:
+    """In words, which things were left out, (m,) bool."""
+    numbers = np.flatnonzero(which)
+    return [f"left out {counted(len(numbers), one, many)}: {listed(numbers)}"] if len(numbers) else []
 
 
 def _neighbours(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from sim.effects import feels_cloth
 from sim.mesh import Mesh, elements, sides_of
+from sim.refusal import LISTED, counted, listed
 from sim.scene import SceneError
 from sim.settings import Settings
 
@@ -39,9 +40,6 @@ PATCH = 12.0
 
 GRAZING = 0.1
 """Sine of the least angle at which an edge counts as crossing a triangle; below, the contour runs away."""
-
-LISTED = 5
-"""Pairs of triangles that a message lists."""
 
 
 class Surfaces(NamedTuple):
@@ -171,12 +169,9 @@ def refusal(pairs: np.ndarray, cloth: int) -> str:
 
 def in_words(pairs: np.ndarray, cloth: int) -> str:
     """How many pairs (p, 2) of triangles there are, and the first; those past `cloth` are of obstacles."""
-    shown = ", ".join(
-        f"{i} and {j}" if j < cloth else f"{i} and {j - cloth} of the obstacle" for i, j in pairs[:LISTED]
-    )
-    more = ", …" if len(pairs) > LISTED else ""
-    count = "1 pair" if len(pairs) == 1 else f"{len(pairs):,} pairs"
-    return f"{count} of triangles: {shown}{more}"
+    some = pairs[: LISTED + 1]
+    named = [f"{i} and {j}" if j < cloth else f"{i} and {j - cloth} of the obstacle" for i, j in some]
+    return f"{counted(len(pairs), 'pair')} of triangles: {listed(named)}"
 
 
 def untangle(x: np.ndarray, surfaces: Surfaces) -> Untangled:

@@ -136,7 +136,7 @@ def test_cloth_without_triangles_is_passed_over():
 def test_check_counts_slivers():
     vertices = [[0, 0, 0], [1, 0, 0], [0.5, 0.005, 0], [0.5, 1, 0]]
     scene = load_scene({"cloth": {"vertices": vertices, "triangles": [[0, 1, 2], [0, 2, 3]]}})
-    assert check_scene(scene)[1] == ["1 triangle has an angle below 1°"]
+    assert check_scene(scene)[1] == ["1 triangle has an angle below 1°: 0"]
 
 
 # Meshes

@@ -242,8 +242,8 @@ def test_run_prints_a_table_and_writes_a_recording_and_the_numbers(tmp_path, sma
 
 SPOILT = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 1 2 3\nf 1 2 2\n"
 MENDED = [
-    "left out 1 triangle without area",
-    "left out 1 vertex that no triangle uses; pins count the others",
+    "left out 1 triangle without area: 1",
+    "left out 1 vertex that no triangle uses: 3; pins count the others",
 ]
 
 

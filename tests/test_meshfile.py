@@ -183,10 +183,10 @@ def test_repairs_are_made_and_said(tmp_path):
     assert triangles.tolist() == [[0, 1, 2], [2, 3, 0]]
     assert len(vertices) == 4
     assert warnings == [
-        "left out 1 triangle without area",
-        "left out 1 repeated triangle",
+        "left out 1 triangle without area: 3",
+        "left out 1 repeated triangle: 2",
         "turned 1 triangle round so that neighbours agree",
-        "left out 1 vertex that no triangle uses; pins count the others",
+        "left out 1 vertex that no triangle uses: 4; pins count the others",
     ]
 
 

@@ -38,8 +38,20 @@ def test_triangles_without_area_are_left_out(sheet):
     line = sheet.triangles[0][[0, 1, 1]]  # a corner twice
     row = [[0, 1, 2]]  # three vertices in a row
     triangles, warnings = repair_triangles(sheet.vertices, np.concatenate([sheet.triangles, [line], row]))
+    m = len(sheet.triangles)
     assert np.array_equal(triangles, sheet.triangles)
-    assert warnings == ["left out 2 triangles without area"]
+    assert warnings == [f"left out 2 triangles without area: {m}, {m + 1}"]
+
+
+def test_no_more_than_a_few_are_listed_and_by_their_own_numbers(sheet):
+    """Those that repeat another are counted as they came, before those without area were left out."""
+    flat = [[0, 0, k] for k in range(1, 10)]
+    triangles = np.concatenate([flat, sheet.triangles, sheet.triangles[:1]])
+    _, warnings = repair_triangles(sheet.vertices, triangles)
+    assert warnings == [
+        "left out 9 triangles without area: 0, 1, 2, 3, 4, …",
+        f"left out 1 repeated triangle: {9 + len(sheet.triangles)}",
+    ]
 
 
 def test_a_far_vertex_that_no_triangle_uses_makes_no_triangle_look_small(sheet):
@@ -50,8 +62,9 @@ def test_a_far_vertex_that_no_triangle_uses_makes_no_triangle_look_small(sheet):
 def test_triangles_that_repeat_another_are_left_out_however_they_are_written(sheet):
     again = np.concatenate([sheet.triangles, sheet.triangles[3:4, ::-1], sheet.triangles[5:6, [1, 2, 0]]])
     triangles, warnings = repair_triangles(sheet.vertices, again)
+    m = len(sheet.triangles)
     assert np.array_equal(triangles, sheet.triangles)
-    assert warnings == ["left out 2 repeated triangles"]
+    assert warnings == [f"left out 2 repeated triangles: {m}, {m + 1}"]
 
 
 @pytest.mark.parametrize("share", [0.02, 0.4])
@@ -85,9 +98,8 @@ def test_a_one_sided_strip_is_said_to_be_one():
 
 
 def test_three_triangles_on_one_edge_are_left_alone():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], dtype=float)
     triangles = np.array([[0, 1, 2], [0, 1, 4], [1, 0, 3]])
-    assert wound_alike(vertices, triangles)[1] == []
+    assert wound_alike(triangles)[1] == []
 
 
 def test_no_triangles_need_no_repair():
@@ -102,7 +114,7 @@ def test_unused_vertices_are_dropped_and_the_others_keep_their_order(sheet):
     kept, renumbered, warnings = used_vertices(vertices, triangles)
     assert np.array_equal(kept, sheet.vertices)
     assert np.array_equal(renumbered, sheet.triangles)
-    assert warnings == ["left out 1 vertex that no triangle uses; pins count the others"]
+    assert warnings == ["left out 1 vertex that no triangle uses: 5; pins count the others"]
 
 
 def test_a_long_strip_in_mixed_winding_is_settled_in_few_passes(benchmark):

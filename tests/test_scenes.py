@@ -3,11 +3,15 @@
 One test runs all of them in all the variants that they compare; then each scene is held to its own lesson.
 """
 
+import re
+import tomllib
+
 import msgspec
 import numpy as np
 import pytest
 
 import sim
+from sim.effects import chosen, effects_with
 from sim.scene import scene_files
 from sim.studies import STUDIES, cantilever, lumping, oscillator
 from tests.test_collision_scenes import KEPT
@@ -39,6 +43,23 @@ def variants():
     for path in scene_files():
         compare = sim.load_scene(path.stem).compare
         yield from (pytest.param(path.stem, {compare.by: value}) for value in compare.values)
+
+
+@pytest.mark.parametrize("path", scene_files(), ids=lambda path: path.stem)
+def test_a_scene_carries_what_its_audit_recommends(path):
+    """With figures, in a comment that is a table of effects if uncommented; or it needs them all."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    (first,) = (k for k, line in enumerate(lines) if line.startswith(f"# muslin audit {path.stem} over "))
+    words = " ".join(line.lstrip("# ") for line in lines[first:])
+    if " it needs every effect that runs." in words or "nothing else that would save" in words:
+        return
+    assert re.search(r"moves the cloth by \d+(\.\d+)? % and (takes \d+ % off a step|saves nothing)", words)
+    (table,) = (k for k, line in enumerate(lines) if line.endswith("[effects]"))
+    block = "\n".join(line.removeprefix("# ") for line in lines[table:])
+    effects = tomllib.loads(block)["effects"]
+    scene = sim.load_scene(path)
+    assert effects
+    assert chosen(scene.settings, effects, effects_with(scene.obstacle_labels))
 
 
 LARGEST_STRAIN = 0.1

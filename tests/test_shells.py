@@ -52,8 +52,8 @@ def test_repairs_of_a_shell_are_said_and_an_open_one_has_no_inside():
     loose = {"vertices": [*TETRAHEDRON["vertices"], [5, 5, 5]], "triangles": faces[:3] + faces[4:]}
     _, lines = check_scene(sim.load_scene(scene(grid(position=[0, 0, 3]), loose)))
     assert lines == [
-        "obstacle[0]: left out 1 repeated triangle",
-        "obstacle[0]: left out 1 vertex that no triangle uses",
+        "obstacle[0]: left out 1 repeated triangle: 3",
+        "obstacle[0]: left out 1 vertex that no triangle uses: 4",
         "obstacle[0]: 3 open edges; the mesh has no inside",
     ]
 

@@ -112,8 +112,8 @@ class Audit:
 
     scene: SceneOrSchema = ""
     """A scene file, or one of `muslin scenes`."""
-    seconds: float = 1.0
-    """Time to simulate [s]."""
+    seconds: float | None = None
+    """Time to simulate [s]; unless given, 1, or until moving obstacles have gone their ways, at most 5."""
     overrides: Overrides = ()
     """Settings that differ from the scene's."""
     tolerance: float = 0.01

@@ -44,6 +44,9 @@ ROUNDING = 1e-11
 SLOWER = 0.1
 """Part of a step by which one without an effect must be slower, and by more than noise, for that to count."""
 
+SHORTEST, LONGEST = 1.0, 5.0
+"""Time that is looked at unless somebody says how long [s]: the longest if obstacles move that long."""
+
 OUTLIERS = 0.1
 """Part of all steps, at either end, that costs leave out: a computer has other things to do now and then."""
 
@@ -87,7 +90,7 @@ class _Seen:
 def audit(
     scene: Scene | str | Path | dict[str, Any],
     overrides: dict[str, Any] | None = None,
-    seconds: float = 1.0,
+    seconds: float | None = None,
     tolerance: float = 0.01,
     progress: Progress | None = None,
 ) -> AuditReport:
@@ -96,7 +99,7 @@ def audit(
     Args:
         scene: As for Simulation.
         overrides: Settings that differ from the scene's.
-        seconds: That are looked at [s].
+        seconds: That are looked at [s]; if left out, one, or more if obstacles take longer to go their ways.
         tolerance: How far all that is recommended to be left out may take the cloth together, relative.
         progress: Is told how far it is.
 
@@ -107,6 +110,7 @@ def audit(
     settings = change(scene.settings, **(overrides or {}))
     if not tolerance > 0.0 or not math.isfinite(tolerance):
         raise ValueError(f"--tolerance: expected > 0, got {tolerance:g}")
+    seconds = _until_obstacles_rest(scene) if seconds is None else seconds
     check_seconds(seconds)
     steps = round(seconds / settings.dt)
     if steps < 1:
@@ -115,6 +119,12 @@ def audit(
     told(0.0, "getting kernels ready (the first run compiles them)")
     warm_up(scene)
     return _Audit(scene, settings, steps, tolerance, told).report(hardware())
+
+
+def _until_obstacles_rest(scene: Scene) -> float:
+    """Time [s] by which the scene has shown what its obstacles do, within bounds."""
+    ends = [obstacle.path[-1].time for obstacle in scene.obstacle if obstacle.path]
+    return min(max(SHORTEST, *ends), LONGEST) if ends else SHORTEST
 
 
 class _Audit:
@@ -282,7 +292,7 @@ class _Audit:
 
         Candidates ran, change less than the tolerance, keep cloth out of nothing, and make no step slower by
         their absence, as where cloth that is let through tangles. Those that change most are kept after all
-        until the whole run stays within the tolerance without the others.
+        until the whole run stays within the tolerance without the others, and takes no longer than with all.
         """
         left = [
             name
@@ -290,18 +300,21 @@ class _Audit:
             if self.now[name] != "off" and self._runs(name) > 0.0 and not seen.worse
         ]
         left = [name for name in left if max(self.seen[name].influence) < self.tolerance]
-        left = [name for name in left if self._share(name) > -max(SLOWER, self._noise())]
+        slower = max(SLOWER, self._noise())
+        left = [name for name in left if self._share(name) > -slower]
         left.sort(key=lambda name: max(self.seen[name].influence))
         as_is = self._steps(start, {}, self.steps)
+        whole = median(as_is.ms)
         while left:
             without = chosen(self.settings, dict.fromkeys(left, "off"), self.effects)
             changes = {key: getattr(without, key) for name in left for key in self.effects[name].off}
             way = self._steps(start, changes, self.steps)
             apart = self._apart(way, as_is)
-            if apart <= self.tolerance and way.inside <= as_is.inside and way.crossed <= as_is.crossed:
-                return left, apart, median(as_is.ms), median(way.ms)
+            safe = way.inside <= as_is.inside and way.crossed <= as_is.crossed
+            if apart <= self.tolerance and safe and median(way.ms) <= (1.0 + slower) * whole:
+                return left, apart, whole, median(way.ms)
             left.pop()
-        return [], 0.0, median(as_is.ms), median(as_is.ms)
+        return [], 0.0, whole, whole
 
     def _toml(self, left: Sequence[str], whole: float, ms: float, apart: float) -> str:
         """The recommended block of a scene file, with its figures in a comment."""

@@ -100,6 +100,32 @@ def test_what_effects_seem_to_cost_that_there_is_nothing_for_is_noise(monkeypatc
     assert found.cost_noise == pytest.approx(named(found, "obstacles").cost_share) == pytest.approx(0.125)
 
 
+def test_effects_whose_absence_together_slows_steps_down_are_kept(monkeypatch):
+    """Each of two effects alone costs 1 ms in 4; both left out cost 4 more, as in cloth that tangles."""
+    step = sim.Simulation.step
+
+    def timed(world):
+        report, settings = step(world), world.settings
+        away = (settings.bending == 0.0 or settings.bend == "none", settings.gamma == 0.0)
+        report.ms["total"] = 8.0 if all(away) else 4.0 - any(away)
+        return report
+
+    monkeypatch.setattr(sim.Simulation, "step", timed)
+    cloth = scene(grid(resolution=(3, 3)), gravity=EARTH, contact="none", dt=1 / 60)
+    found = audit(cloth, seconds=10 / 60)
+    assert named(found, "bending").cost_share == named(found, "damping").cost_share == 0.25
+    assert len({"bending", "damping"} & found.recommended.keys()) == 1
+    assert (found.ms, found.recommended_ms) == (4.0, 3.0)
+
+
+@pytest.mark.parametrize(("path", "seconds"), [([], 1.0), ([0.5], 1.0), ([0.5, 1.5], 1.5), ([9.0], 5.0)])
+def test_an_audit_looks_until_obstacles_have_gone_their_ways(path, seconds):
+    keys = [{"time": time, "position": [0.0, 0.0, -time]} for time in path]
+    away = ball(center=[5.0, 0.0, 0.0], radius=0.2, path=keys)
+    cloth = scene(grid(resolution=(2, 2)), away, gravity=EARTH, dt=0.1)
+    assert audit(cloth).seconds == pytest.approx(seconds)
+
+
 def test_the_recommended_block_loads_and_says_what_it_was_measured_with(audited):
     assert audited.toml.startswith("# audit over 0.15 s, tolerance 1 %:\n# ")
     assert max(map(len, audited.toml.splitlines())) < 80, (
