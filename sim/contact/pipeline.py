@@ -344,7 +344,8 @@ class Pipeline:
         if found is None:
             return None
         end, met, pressed = found
-        if response.impulses and response.solved:
+        tries_more = response.impulses or s.newton < NEWTON  # penalty has nothing beyond that
+        if response.solved and tries_more:
             way.erupted = erupts(self._model, s, met, pressed, way.x, way.v, solution, end)
         pressing = touch(met.key, pressed, felt.of(met.key)[1], h)
         return None if way.erupted else (end, pressing._replace(over=way.over))

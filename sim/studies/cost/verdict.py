@@ -74,7 +74,7 @@ def dominant(sources: Sequence[Source]) -> str:
     if not known:
         return "No source of error could be told."
     (most, first), *others = known
-    many = first.source.endswith("s")
+    many = first.source.endswith("iterations")
     words = (
         f"At the chosen settings the {first.source} {'dominate' if many else 'dominates'}: "
         f"turned from {first.what} {'they move' if many else 'it moves'} the cloth"

@@ -25,9 +25,10 @@ from sim.studies.cost.measures import Measures, distances, size
 from sim.studies.cost.nested import nested
 from sim.studies.cost.plan import SOLVED
 from sim.studies.cost.reference import MARGIN, Reference, ReferenceError, refuse
+from sim.studies.cost.report import Source
 from sim.studies.cost.study import cost
 from sim.studies.cost.trace import Case, Trace, run
-from sim.studies.cost.verdict import notes, verdict
+from sim.studies.cost.verdict import dominant, notes, verdict
 from sim.studies.cost.workers import workers
 from tests.worlds import ball, grid, scene
 
@@ -154,6 +155,17 @@ def test_the_block_in_place_of_the_scenes_settings_gives_the_recommended_run_and
     other = verdict(elsewhere, [elsewhere], [], 1e-3)
     assert tomllib.loads(other.toml)["settings"]["friction"] == 0.7
     assert other.settings == elsewhere.changed
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("Newton iterations", "iterations dominate: turned from 1 to 2 they move the cloth by 1 %."),
+        ("contact thickness", "thickness dominates: turned from 1 to 2 it moves the cloth by 1 %."),
+    ],
+)
+def test_the_sentence_on_the_largest_source_agrees_in_number(source, words):
+    assert dominant([Source(source=source, what="1 to 2", change=0.01, observables={})]).endswith(words)
 
 
 def test_sources_turn_one_knob_each_and_the_step_dominates_a_long_step(report):
