@@ -386,23 +386,53 @@ def reef_knot(probe: Probe) -> Iterator[Figure]:
     held_one = ribbon(unit * mirrored(first), 0.016, 0.012)
     count = len(held_one["vertices"])
     held_one["pins"] = [0, 1, 2, count - 3, count - 2, count - 1]
-    pulled = ribbon(unit * mirrored(second), 0.016, 0.012, density=1.0)
-    more = {
-        "stretch": 300.0,
-        "altitudes": "all",
-        "altitude": 300.0,
-        "bending": 1e-5,
-        "thickness": 3e-3,
-        "dt": 1 / 120,
-    }
-    trial = probe.start(felt([held_one, pulled], gravity=[3 * G, 0, 0], jitter=JITTER, **more), judged=True)
+    trial = probe.start(pulled(held_one, ribbon(unit * mirrored(second), 0.016, 0.012)), judged=True)
     for _ in trial.until(1.0):
         pass
+    yield from tightened(trial)
+
+
+def pulled(held_one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """A ribbon, some of it pinned, and a heavier one knotted into it that is pulled away along x."""
+    return felt(
+        [held_one, {**other, "density": 1.0}],
+        gravity=[3 * G, 0, 0],
+        jitter=JITTER,
+        stretch=300.0,
+        altitudes="all",
+        altitude=300.0,
+        bending=1e-5,
+        thickness=3e-3,
+        dt=1 / 120,
+    )
+
+
+def tightened(trial: Trial) -> Iterator[Figure]:
+    """What is asked of every knot."""
     yield at_most("intersections", 0.0, 0.0)
     yield at_least("pairs near, most in a step", max(r.near for r in trial.reports), 1.0)
     yield at_most("substeps, most in a step", max(r.substeps for r in trial.reports), MOST_SUBSTEPS)
     yield at_most("largest strain at the end", np.abs(strains(trial.world)).max(), 0.1)
     yield reported("vertices held back", held_back(trial))
+
+
+@case("C4-fishing-knot", "a fisherman's knot is pulled tight", seconds=25.0, runs=CAREFUL)
+def fishing_knot(probe: Probe) -> Iterator[Figure]:
+    """Each of two ribbons is tied round the other; one is held, and the heavier one pulls away at 3 g."""
+    unit = 0.06
+    way = [[-6, 1, 0], [-3, 1, 0], [-1, 1, 0], [0.4, 1, 0], [1, 1, 0.2], [1.5, 1, 0], [2, 1, -0.25]]
+    way += [[2.5, 1, 0], [2.9, 0.7, 0.25], [3, 0, 0.35], [2.8, -0.7, 0.3], [2.4, -1, 0.25], [2, -1, 0.25]]
+    way += [[1.5, -1, 0], [1.15, -0.7, -0.2], [1, 0, -0.3], [1, 0.6, -0.3], [1, 1, -0.25], [1, 1.5, -0.1]]
+    way += [[1.2, 1.9, 0], [1.6, 2, 0.1], [1.95, 1.6, 0.2], [2, 1, 0.25], [2, 0, 0.25], [2, -0.5, 0]]
+    way += [[2, -1, -0.25], [2, -1.6, -0.1], [2, -3, 0]]
+    there = np.array(way)
+    back = there * [-1.0, -1.0, 1.0] + [0.0, 1.0, 0.0]
+    held_one, other = (ribbon(unit * points, 0.016, 0.012) for points in (there, back))
+    end = len(held_one["vertices"]) + 1
+    trial = probe.start(pulled({**held_one, "pins": [0, 1, 2]}, other), judged=True)
+    places = [trial.world.positions[end, 0] for _ in trial.until(1.4)]
+    yield from tightened(trial)
+    yield at_most("slip in the last tenth of a second", places[-1] - places[-13], 0.016, "m")
 
 
 MOST_SUBSTEPS = 32
