@@ -72,14 +72,15 @@ class Page:
         def _(client: Any) -> None:
             if not guard.may_act(client.client_id):
                 client.gui.add_html(WATCHING, order=-1.0)
-            lab.post(self.stage.frame_view, client)
-            if guard.came_to(client.client_id) == PROJECTOR:
-                lab.post(self.project, client)
 
-            @client.camera.on_update
+            @client.camera.on_update  # before it is framed, or a shape that comes in between would go unheard
             async def _(_: Any) -> None:
                 if self.stage.is_outgrown(client):
                     lab.post(self.stage.frame_view, client)
+
+            lab.post(self.stage.frame_view, client)
+            if guard.came_to(client.client_id) == PROJECTOR:
+                lab.post(self.project, client)
 
     @property
     def url(self) -> str:

@@ -145,12 +145,15 @@ class Stage:
     def is_outgrown(self, client: viser.ClientHandle) -> bool:
         """Whether a client's view has another shape than it was framed for, and nobody has moved its camera.
 
-        Docks that come or go, windows and phones that are turned do that. May be asked by any thread.
+        Docks that come or go, windows and phones that are turned do that; and a browser that is slow to begin
+        may go to where all begin after it was told where to. May be asked by any thread.
         """
         position, aspect = self._framed.get(client, (None, 0.0))
         if self._framing is None or position is None or abs(aspect_of(client) / aspect - 1.0) < RESHAPED:
             return False
-        return bool(np.allclose(client.camera.position, position, rtol=0.0, atol=MOVED * self._framing.size))
+        here, near = client.camera.position, MOVED * self._framing.size
+        own = (position, self._server.initial_camera.position)
+        return any(np.allclose(here, place, rtol=0.0, atol=near) for place in own)
 
     def project(self, client: viser.ClientHandle, projecting: bool) -> None:
         """Write the labels that one client sees larger, or as large as for all again."""

@@ -413,6 +413,16 @@ def test_a_view_that_docks_leave_less_of_is_framed_anew_until_somebody_moves_the
     late.close()
 
 
+def test_a_browser_that_goes_back_to_where_all_begin_is_framed_for_the_shape_it_has(lab, client):
+    """One that draws in software does so at times, after it was told where its camera should be."""
+    slow = RawClient(lab.url)
+    slow.look(image_width=1280)
+    wait_until(lambda: framed(slow) and framed(slow)[-1] == camera(lab, 1280))
+    slow.look(image_width=680, position=map(float, lab._page.server.initial_camera.position))
+    wait_until(lambda: framed(slow)[-1] == camera(lab, 680))
+    slow.close()
+
+
 def test_labels_are_smaller_where_a_view_is_too_narrow_for_them(lab, client):
     """Each client's own, so that they neither lie over each other nor are smaller than need be on others."""
     narrow = RawClient(lab.url)
