@@ -12,6 +12,9 @@ from collections.abc import Callable, Iterator
 from server.access import is_loopback
 from server.lab import Lab
 
+EVERYWHERE = "0.0.0.0"
+"""Where a server listens that is told to listen at no address in particular."""
+
 WARNING = (
     "muslin: --host {host} lets other computers in. Whoever has an address with its token may come, and what "
     "goes over the network is not encrypted: use it among people you trust.\n"
@@ -40,7 +43,7 @@ def run_lab(
         SceneError: if the scene cannot be used.
         ValueError: if nothing can listen at that address.
     """
-    done = threading.Event()
+    done, host = threading.Event(), host or EVERYWHERE
     lab = Lab(scene, host, port, view_only=view_only)
     if not is_loopback(host):
         sys.stderr.write(WARNING.format(host=host))
