@@ -36,8 +36,9 @@ RINGS = 4
 SHORT = 0.5
 """Edges shorter than this part of the mean join vertices that are solved for together."""
 
-UNEVEN = 0.01
-"""Part of the edges that may be short where only the hem is solved exactly."""
+UNEVEN = 0.1
+"""Part of the edges that may be short where only the hem is solved exactly: strips would halve the iterations
+at most, and each takes twice as long."""
 
 STRIPS = ((8, 512, 0), (2, 512, 1), (2, 64, 1))
 """Rings of vertices that make up a strip, vertices after which it is cut, and rings by which strips overlap:
