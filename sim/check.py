@@ -17,6 +17,16 @@ SLIVER = np.radians(1.0)
 """Triangles with an angle below this [rad] are counted: springs on them are stiff, and their hinges jumpy."""
 
 
+MEGABYTES, KILOBYTES_OF_VERTEX = 200.0, 12.0
+"""Memory that a process with kernels takes, and what each vertex adds where cloth drapes, as measured for
+docs/benchmarks.md."""
+
+
+def memory(mesh: Mesh) -> float:
+    """Megabytes, about, that a simulation of `mesh` takes, as known before it is built."""
+    return MEGABYTES + 1e-3 * KILOBYTES_OF_VERTEX * len(mesh.vertices)
+
+
 def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
     """The mesh of a scene and one line for each thing that its author may want to know.
 
@@ -27,6 +37,7 @@ def check_scene(scene: Scene) -> tuple[Mesh, list[str]]:
     prefix = f"{scene.source}: "
     warnings = [w.removeprefix(prefix) for w in mesh.warnings]
     warnings += _part_warnings(mesh) + _sliver_warnings(mesh) + _thickness_warnings(mesh, scene.settings)
+    warnings += _path_warnings(scene)
     return mesh, warnings + crossing_warnings(mesh, scene) + clearance_warnings(mesh, scene)
 
 
@@ -37,6 +48,21 @@ def _part_warnings(mesh: Mesh) -> list[str]:
         count = len(np.unique(mesh.parts[mesh.pieces == piece]))
         if count > 1:
             warnings.append(f"cloth[{piece}] is in {count:,} parts that nothing joins")
+    return warnings
+
+
+def _path_warnings(scene: Scene) -> list[str]:
+    """Where a path that is repeated jumps: what is in its way is thrown off without bound."""
+    warnings = []
+    for i, obstacle in enumerate(scene.obstacle):
+        if not (obstacle.repeat and obstacle.path):
+            continue
+        first, last = obstacle.path[0], obstacle.path[-1]
+        here = obstacle.reference
+        if not np.allclose(first.position or here, last.position or here, rtol=0.0, atol=1e-6):
+            warnings.append(
+                f"obstacle[{i}] jumps as its path is repeated: the last key is not where the first is"
+            )
     return warnings
 
 

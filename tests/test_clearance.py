@@ -139,6 +139,19 @@ def test_check_counts_slivers():
     assert check_scene(scene)[1] == ["1 triangle has an angle below 1°: 0"]
 
 
+def test_check_tells_of_a_repeated_path_that_jumps():
+    keys = [{"time": time, "position": [0, 0, z]} for time, z in ((0.0, -2.0), (0.5, -1.0), (1.0, -2.0))]
+    told = []
+    for path, repeat in ((keys[:2], True), (keys[:2], False), (keys, True)):
+        ball = {"kind": "sphere", "center": [0, 0, -2], "radius": 0.1, "path": path, "repeat": repeat}
+        told.append(check_scene(load_scene({"cloth": grid(), "obstacle": [ball]}))[1])
+    assert told == [
+        ["obstacle[0] jumps as its path is repeated: the last key is not where the first is"],
+        [],
+        [],
+    ]
+
+
 # Meshes
 
 

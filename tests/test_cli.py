@@ -122,8 +122,8 @@ def test_check_says_that_scenes_are_fine_and_exits_with_zero(small):
     assert done.returncode == 0
     assert done.stderr == ""
     assert done.stdout.splitlines() == [
-        f"{small}: fine: 16 vertices, 18 triangles, 4 pinned",
-        "drape: fine: 1,089 vertices, 2,048 triangles, 0 pinned",
+        f"{small}: fine: 16 vertices, 18 triangles, 4 pinned, some 200 MB to simulate",
+        "drape: fine: 1,089 vertices, 2,048 triangles, 0 pinned, some 213 MB to simulate",
     ]
 
 
@@ -149,7 +149,7 @@ def test_check_warns_of_cloth_that_starts_in_an_obstacle(tmp_path, small):
     assert done.returncode == 0
     assert done.stdout.splitlines() == [
         f'{small}: cloth[0] starts inside obstacle[0] (sphere "ball")',
-        f"{small}: fine: 16 vertices, 18 triangles, 4 pinned, 1 warning",
+        f"{small}: fine: 16 vertices, 18 triangles, 4 pinned, some 200 MB to simulate, 1 warning",
     ]
 
 
@@ -257,7 +257,7 @@ def mended(tmp_path):
 
 def test_check_says_what_was_mended_and_names_the_file_once(mended, capsys):
     assert main(["check", str(mended)]) == 0
-    fine = f"{mended}: fine: 3 vertices, 1 triangle, 0 pinned, 2 warnings"
+    fine = f"{mended}: fine: 3 vertices, 1 triangle, 0 pinned, some 200 MB to simulate, 2 warnings"
     assert capsys.readouterr().out.splitlines() == [*(f"{mended}: cloth[0]: {line}" for line in MENDED), fine]
 
 

@@ -47,7 +47,7 @@ class Check:
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from sim.check import check_scene
+        from sim.check import check_scene, memory
         from sim.refusal import counted
 
         failures = 0
@@ -63,7 +63,8 @@ class Check:
             vertices = counted(len(mesh.vertices), "vertex", "vertices")
             triangles = counted(len(mesh.triangles), "triangle")
             warned = f", {counted(len(warnings), 'warning')}" if warnings else ""
-            say(f"{name}: fine: {vertices}, {triangles}, {len(mesh.pinned):,} pinned{warned}")
+            pinned, needed = f"{len(mesh.pinned):,} pinned", f"some {memory(mesh):,.0f} MB to simulate"
+            say(f"{name}: fine: {vertices}, {triangles}, {pinned}, {needed}{warned}")
         return 1 if failures else 0
 
 

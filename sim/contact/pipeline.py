@@ -48,6 +48,9 @@ NEWTON, STIFFER = 2, 10.0
 """Newton iterations of a step that put in energy with fewer, as their line search asks the springs; and how
 much stiffer its gap springs are where it was impulses, which do not ask: so they have less to do."""
 
+LIMITED = MOST_HALVINGS - 2
+"""Halvings left at which cloth may stretch beyond its limit, which might leave it no way past obstacles."""
+
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
 
@@ -189,7 +192,8 @@ class Pipeline:
                 self.parts.append(way.part)
             return found
         report.substeps += 1
-        half = replaced(way.settings, dt=0.5 * way.settings.dt)
+        limit = way.settings.strain_limit if halvings > LIMITED else 0.0
+        half = replaced(way.settings, dt=0.5 * way.settings.dt, strain_limit=limit)
         x, v, touched = way.x, way.v, way.touched
         for time in (way.time, way.time + half.dt):
             about = half, way.response, time, x, v, touched, way.solve, report

@@ -299,3 +299,14 @@ def test_what_is_pressed_to_nothing_is_not_thrown():
         reports.append(world.step())
         assert np.abs(world.velocities).max() < 9.81 * world.time + 0.5  # it fell, and what came had 0.49 m/s
     assert sum(report.held_back for report in reports) > 0  # else nothing is shown
+
+
+def test_a_strain_limit_does_not_have_a_box_run_over_cloth_that_could_stretch():
+    """The cloth is held all around, so that its limit leaves the box no way; contact has the last word."""
+    start, end = [-0.08, 0.001, 0.35], [-0.08, 0.001, -0.32]
+    way = [{"time": 0.06, "position": start}, {"time": 0.175, "position": end, "rotation": [5.4, -4.5, 8.3]}]
+    box = {"kind": "box", "center": start, "size": [0.123, 0.073, 0.123], "path": way, "motion": "linear"}
+    cloth = grid((0.6, 0.6), (7, 7), position=[0.033, -0.029, 0.0], pins=["left", "right", "top", "bottom"])
+    more = {"thickness": 1e-3, "friction": 1.0, "stretch": 20.0, "gamma": 1.0, "bend": "cross"}
+    world = sim.Simulation(scene(cloth, box, dt=1 / 30, strain_limit=0.1, **more))
+    assert sum(world.step().overruns for _ in range(14)) == 0
