@@ -146,8 +146,8 @@ def notes(runs: Sequence[Run], contact: bool, repeats: int, sources: Sequence[So
     ]
     if not any(source.source == "mesh" for source in sources):
         found.append(
-            "What the mesh itself is wrong by is not told: only grids, and no larger ones than half of what "
-            "can be simulated, are made twice as fine here."
+            "What the mesh itself is wrong by is not told: cloth with links, with masses given one by one, "
+            "or with a quarter of the vertices that can be simulated, is not made twice as fine here."
         )
     stood_in = max((run.stood_in for run in runs), default=0.0)
     if contact and stood_in > 0.0:

@@ -321,6 +321,43 @@ def test_a_nested_mesh_has_the_old_vertices_pins_and_stiffness():
     assert nested(sim.load_scene(scene(grid(resolution=(4, 4)))), a.settings, -1) is None
 
 
+CURLED = {"kind": "equilateral", "size": (1.0, 0.5), "resolution": (11, 8), "pins": ["left"]}
+TRIANGLES = {"vertices": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "triangles": [[0, 1, 2], [2, 3, 0]]}
+
+
+@pytest.mark.parametrize(
+    ("cloth", "pinned", "energy"),
+    [
+        (CURLED, 15, "angle"),
+        ({**CURLED, "pins": [0, 11]}, 2, "angle"),
+        ({**TRIANGLES, "pins": [1]}, 1, "edge"),
+    ],
+)
+def test_triangles_that_are_no_grid_are_cut_into_four_for_the_same_cloth(cloth, pinned, energy):
+    """The same mass, each old vertex where it was, and the same energy where it is flat, or is pulled."""
+    rest_angle, pull = (0.1, 1.0) if energy == "angle" else (0.0, 1.01)
+    coarse = sim.load_scene(scene(cloth, stretch=30.0, bend="angle", rest_angle=rest_angle))
+    fine, changes = nested(coarse, coarse.settings, 1)
+    a, b = sim.Simulation(coarse), sim.Simulation(fine, **changes)
+    n = len(a.positions)
+    assert len(b.mesh.triangles) == 4 * len(a.mesh.triangles)
+    assert np.array_equal(b.positions[:n], a.positions)
+    assert len(b.pinned) == pinned
+    assert b.masses.sum() == pytest.approx(a.masses.sum())
+    for world in (a, b):
+        world.place(world.positions * [pull, 1.0, 1.0])
+    # hinges and edges along the hem count half or not at all: one part in the number of rows
+    assert b.energy()[energy] == pytest.approx(a.energy()[energy], rel=0.35 if energy == "edge" else 0.2)
+    assert nested(coarse, coarse.settings, -1) is None
+
+
+def test_links_and_masses_of_their_own_have_no_nested_mesh():
+    links = {"vertices": [[0, 0, 0], [0, 0, 1]], "edges": [[0, 1]]}
+    for cloth in (links, {**TRIANGLES, "masses": [1.0, 1.0, 1.0, 1.0]}, {**TRIANGLES, "edges": [[1, 3]]}):
+        case = sim.load_scene(scene(cloth))
+        assert nested(case, case.settings, 1) is None
+
+
 def test_observables_are_those_of_shapes_that_are_known():
     flat = scene(grid(size=(2.0, 1.0), resolution=(21, 11), pins=["top"]), gravity=[0, 0, -9.81])
     world = sim.Simulation(flat)
