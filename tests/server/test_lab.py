@@ -301,7 +301,7 @@ def test_compiler_that_fails_is_reported_and_the_page_lives():
 def test_what_was_mended_of_a_mesh_is_said_on_the_page(open_lab):
     points = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     lab, _ = open_lab({"cloth": {"vertices": points, "triangles": [[0, 1, 2], [2, 0, 1]]}})
-    wait_until(lambda: lab._page._note == "scene: cloth[0]: left out 1 repeated triangle")
+    wait_until(lambda: lab._page._note == "scene: cloth[0]: left out 1 repeated triangle: 1")
 
 
 def test_bad_scene_is_refused_before_anything_starts():
