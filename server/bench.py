@@ -104,13 +104,9 @@ class Bench:
         self.meters = [Meter() for _ in self.meters]
         self.clock.reset()
 
-    def change(self, index: int, changes: Mapping[str, Any], settings: Settings) -> None:
-        """Change some settings of one variant, which has all these `settings` then."""
-        lane = self.lanes[index]
-        if lane.ready:
-            lane.send(Change(changes))
-        else:  # it could not even start with the settings before
-            lane.send(Reset(settings))
+    def change(self, index: int, changes: Mapping[str, Any]) -> None:
+        """Change some settings of one variant; one that could not start with those before starts anew."""
+        self.lanes[index].send(Change(changes))
 
     def wait(self) -> float | None:
         """Wall time [s] until the next frame is to be started; None while there is none to come."""

@@ -244,7 +244,7 @@ class Lab:
         self._page.panel.show_relevance(comparison)
         for i in range(len(self._bench.lanes)):
             if changes[i]:
-                self._bench.change(i, changes[i], new[i])
+                self._bench.change(i, changes[i])
             if changes[i] and not only_read_outs(changes[i]):
                 self._prober.changed(i)
 

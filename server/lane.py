@@ -190,12 +190,18 @@ class Lane(threading.Thread):
         self._on_frame()
 
     def _drain(self, wait: bool = True) -> int:
-        """Carry out all queued commands, changes that come in a row as one; how many there were."""
+        """Carry out all queued commands, changes that come in a row as one; how many there were.
+
+        What comes before a reset is not done any more: it has all the settings.
+        """
         commands = [self._commands.get()] if wait else []
         while not self._commands.empty():
             commands.append(self._commands.get())
+        reset = max((k for k, command in enumerate(commands) if isinstance(command, Reset)), default=0)
         changes: dict[str, Any] = {}
-        for command in commands:
+        for k, command in enumerate(commands):
+            if k < reset and not isinstance(command, Ask):
+                continue
             if isinstance(command, Change):
                 changes.update(command.values)
                 continue

@@ -298,6 +298,32 @@ def test_compiler_that_fails_is_reported_and_the_page_lives():
     lab.stop()
 
 
+def test_sliders_that_are_moved_while_it_starts_again_do_not_have_it_start_anew_each_time():
+    """A class that moves sliders all the time had it build worlds for ever, and never step."""
+    building, go_on = threading.Event(), threading.Event()
+
+    def slow(scene, settings):
+        if building.is_set():
+            assert go_on.wait(20)
+        return FakeWorld(scene, settings)
+
+    FakeWorld.made.clear()
+    lab = Lab(SCENE, port=0, build=slow)
+    lab.start()
+    wait_until(lambda: lab._bench.ready and not lab._bench.busy)
+    lanes = lab._comparison.count
+    building.set()
+    lab.post(lab.reset)
+    wait_until(lambda: not any(lane.ready for lane in lab._bench.lanes))
+    for k in range(10):
+        lab.post(lab.set_shared, "friction", 0.1 * k)
+    wait_until(lambda: lab._comparison.settings(0).friction == pytest.approx(0.9))
+    go_on.set()
+    wait_until(lambda: lab._bench.ready and not lab._bench.busy)
+    assert len(FakeWorld.made) == 2 * lanes
+    lab.stop()
+
+
 def test_what_was_mended_of_a_mesh_is_said_on_the_page(open_lab):
     points = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     lab, _ = open_lab({"cloth": {"vertices": points, "triangles": [[0, 1, 2], [2, 0, 1]]}})

@@ -64,6 +64,27 @@ def test_lanes_with_different_steps_stay_on_one_clock(start):
     assert coarse.frame.time == pytest.approx(50 * 0.033, abs=0.03)
 
 
+def test_a_lane_is_built_once_for_resets_in_a_row_and_what_was_asked_before_them_is_not_done(start):
+    """Somebody presses the button again and again while a step takes long; who asks is answered anyway."""
+    lane, answers = start(dt=0.01), []
+    (world,) = FakeWorld.made
+    world.gate.clear()
+    lane.send(Advance(0.01))
+    wait_until(lambda: lane.busy and not lane._commands.qsize())
+    for gamma in (0.1, 0.2, 0.3):
+        lane.send(Change({"gamma": 5.0}))
+        lane.send(Ask(answers.append))
+        lane.send(Reset(msgspec.structs.replace(load_scene(SCENE).settings, gamma=gamma)))
+    lane.send(Change({"friction": 0.7}))
+    world.gate.set()
+    wait_until(lambda: not lane.busy)
+    assert len(FakeWorld.made) == 2
+    assert not world.updates
+    assert lane.frame.settings.gamma == 0.3
+    assert list(FakeWorld.made[1].updates) == [{"friction": 0.7}]
+    assert len(answers) == 3
+
+
 def test_change_takes_effect_between_two_steps_of_one_advance(start):
     lane = start(dt=0.01)
     (world,) = FakeWorld.made
