@@ -237,8 +237,7 @@ class Lab:
     def _change(self, comparison: Comparison) -> None:
         """Have other settings of the same variants, while they run."""
         before, self._comparison = self._comparison, comparison
-        new = [comparison.settings(i) for i in range(comparison.count)]
-        changes = [differing(before.settings(i), settings) for i, settings in enumerate(new)]
+        changes = [differing(before.settings(i), comparison.settings(i)) for i in range(comparison.count)]
         if not all(map(only_read_outs, changes)):
             self._forget_damping()
         self._page.panel.show_relevance(comparison)

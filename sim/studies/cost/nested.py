@@ -36,7 +36,11 @@ def nested(scene: Scene, settings: Settings, level: int) -> tuple[Scene, dict[st
     part = 2.0**level
     cloth, total = [], 0
     for piece in scene.cloth:
-        finer = _grid(piece, part) if isinstance(piece, Grid) else _quartered(scene, piece, level)
+        finer = None
+        if isinstance(piece, Grid):
+            finer = _grid(piece, part)
+        elif level == 1:
+            finer = _quartered(scene, piece)
         if finer is None:
             return None
         cloth.append(finer)
@@ -49,12 +53,12 @@ def nested(scene: Scene, settings: Settings, level: int) -> tuple[Scene, dict[st
     return replace(scene, cloth=cloth), changes
 
 
-def _quartered(scene: Scene, cloth: Any, level: int) -> Arrays | None:
+def _quartered(scene: Scene, cloth: Any) -> Arrays | None:
     """A piece with each triangle cut into four; sides that are pinned by name are pinned all along."""
     alone = replace(scene, cloth=[cloth], obstacle=[])
     mesh = build_mesh(alone)
     n, sides = len(mesh.vertices), sides_of(mesh.triangles, len(mesh.vertices))
-    if level != 1 or len(sides) < len(mesh.edges) or not np.isnan(mesh.given_masses).all():
+    if len(sides) < len(mesh.edges) or not np.isnan(mesh.given_masses).all():
         return None
     named = replace(cloth, pins=[pin for pin in cloth.pins if isinstance(pin, str)])
     held = build_mesh(replace(alone, cloth=[named])).pinned
