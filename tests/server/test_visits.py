@@ -85,8 +85,7 @@ CANVAS = (
 def test_a_projector_shows_cloths_and_chart_alone_until_the_key_is_pressed_again(lab, open_page, by):
     other = open_page(lab, height=500)
     beamer = open_page(lab, height=500, url=lab.url + "/projector" * (by == "address"))
-    tab = beamer.get_by_role("tab", name="Energy")
-    tab.wait_for(state="attached")
+    tab = beamer.get_by_role("tab", name="Energy")  # of what is seen: in the mode there is none
     wait_until(
         lambda: len(lab._page.server.get_clients()) == 2, seconds=60
     )  # who is not known yet is not heard
