@@ -44,6 +44,14 @@ QUICK = Effort(1, 1, ("backward_euler", "sdirk2"), 3, 2, 0, 2, 0.75)
 USUAL = Effort(2, 1, SOME, 3, 3, 4, 2, 2.5)
 FULL = Effort(3, 1, (), 5, 8, 12, 2, math.inf)
 
+
+def more_time(effort: Effort) -> str:
+    """What the user can do for a study that takes more time; nothing for one that takes all it needs."""
+    if math.isinf(effort.minutes):
+        return ""
+    return "ask for --full, or leave out --quick" if effort == QUICK else "ask for --full"
+
+
 NEWTONS = (1, 2, 4, 8)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 

@@ -128,14 +128,28 @@ def comparable(floor: np.ndarray, errors: Sequence[np.ndarray], most: int) -> in
     return int(found[-1]) if len(found) else None
 
 
-def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int, fewest: int) -> ReferenceError:
-    """The error that says why no look from `fewest` to `most` is `comparable`."""
+def refuse(
+    reference: Reference, errors: Sequence[np.ndarray], most: int, fewest: int, cut: bool, more: str
+) -> ReferenceError:
+    """The error that says why no look from `fewest` to `most` is `comparable`.
+
+    Args:
+        reference: That was tried.
+        errors: Of each run (k,), the largest up to each look.
+        most: The last look that could be used.
+        fewest: The first one.
+        cut: Whether later looks were asked for, and there was no time for them.
+        more: What gives a study more time; nothing if it had all that it asked for.
+    """
     looks = min([most + 1, len(reference.floor), *map(len, errors)])
     smallest = np.min([error[:looks] for error in errors], axis=0)
     if reference.floor[looks - 1] <= ROUNDING and smallest[-1] <= ROUNDING:
+        later = (
+            f"later looks take more time than there is; {more}" if cut and more else "ask for more --seconds"
+        )
         return ReferenceError(
             f"up to {reference.trace.times[looks - 1]:.3g} s methods are exact to rounding: there is nothing "
-            "to compare; ask for more --seconds, or another scene"
+            f"to compare; {later}, or another scene"
         )
     first = min(fewest, looks - 1)
     parts = reference.floor[first:looks] / np.maximum(smallest[first:], ROUNDING)
@@ -143,5 +157,5 @@ def refuse(reference: Reference, errors: Sequence[np.ndarray], most: int, fewest
     return ReferenceError(
         f"the reference is too coarse: with steps of {1e3 * reference.dt:.3g} ms it is known to "
         f"{reference.floor[at]:.1e} at {reference.trace.times[at]:.3g} s, where the smallest error is "
-        f"{smallest[at]:.1e}; expected a tenth of that"
+        f"{smallest[at]:.1e}; expected a tenth of that{more and f'; {more}'}"
     )

@@ -54,9 +54,6 @@ SECONDS = 1.0
 FEWEST = 2
 """Looks that a comparison needs at least."""
 
-FINER_REFERENCE = " (--full takes a finer one, and the time that this takes)"
-"""What helps where it is too coarse."""
-
 GROWTH_SHARE, REFERENCE_SHARE, SWEEP_SHARE, ENSEMBLE_SHARE = 0.06, 0.15, 0.55, 0.04
 """Parts of the time of a study for each run that drifts apart, each reference, all timed runs, and each
 seeded run; what is reached by then is what is compared."""
@@ -125,7 +122,7 @@ class _Study:
     ) -> None:
         self.subject, self.most, self.effort, self.finer = subject, most, effort, finer
         self.run_all, self._progress, self._done = run_all, progress, 0.0
-        self.known, self.begin = most, time.perf_counter()
+        self.known, self.begin, self.more = most, time.perf_counter(), planning.more_time(effort)
 
     def report(self, target: float) -> CostReport:
         """All stages."""
@@ -196,7 +193,7 @@ class _Study:
         cases += [subject.case(settings, self.most, hair, limit=limit) for hair in hairs]
         base, *moved = self._made(cases, 0.02, 0.1, "how fast runs drift apart")
         if len(base) <= FEWEST:
-            why = base.stopped or "for lack of time; ask for --full"
+            why = base.stopped or f"for lack of time; {self.more}"
             raise ReferenceError(
                 f"a run with SDIRK2, which would tell how long runs can be compared, fails {why}"
             )
@@ -210,7 +207,7 @@ class _Study:
             return "it was not asked for more"
         if look < self.known:
             return "after that the reference is not known to a tenth of the smallest error"
-        return "a longer reference would take too long for this effort; ask for --full"
+        return f"a longer reference would take too long for this effort; {self.more}"
 
     def _where(self, look: int) -> str:
         """What errors are told of, in words."""
@@ -220,7 +217,7 @@ class _Study:
 
     def _compared(self, planned: Sequence[Planned], last: int) -> tuple[Reference, list[Timed], int, int]:
         """A reference, runs that can be told against it, up to which look, and how often it was refined."""
-        subject, timed, refined, fewest = self.subject, None, 0, min(FEWEST, last)
+        subject, timed, refined, fewest, asked = self.subject, None, 0, min(FEWEST, last), last
         while True:
             dt = planning.steps(subject.chosen, self.effort)[-1] / self.finer / 2**refined
             limit = self._limit(REFERENCE_SHARE)
@@ -233,7 +230,7 @@ class _Study:
             if last < fewest:
                 raise ReferenceError(
                     f"a reference with steps of {1e3 * dt:.3g} ms comes no farther than "
-                    f"{last * subject.every:.3g} s in the time that there is; ask for --full"
+                    f"{last * subject.every:.3g} s in the time that there is; {self.more}"
                 )
             timed = timed or self._timed(planned, last)
             fine = [t.trace for t in timed if not t.trace.stopped]
@@ -244,8 +241,7 @@ class _Study:
             if look is not None and look >= fewest:
                 return reference, timed, look, refined
             if refined == self.effort.refinements:
-                why = refuse(reference, errors, last, fewest)
-                raise why if math.isinf(self.effort.minutes) else ReferenceError(f"{why}{FINER_REFERENCE}")
+                raise refuse(reference, errors, last, fewest, cut=last < asked, more=self.more)
             refined += 1
 
     def _affordable(self, reference: Trace, planned: Sequence[Planned]) -> int:

@@ -98,9 +98,9 @@ def test_a_reference_that_is_too_coarse_at_first_is_refined_twice(swing, effort)
 
 def test_a_reference_for_which_there_is_time_for_one_look_alone_is_none(swing, monkeypatch):
     left = {study.REFERENCE_SHARE: 0.0}
-    monkeypatch.setattr(study._Study, "_limit", lambda _, share: left.get(share, math.inf))
+    monkeypatch.setattr(study._Study, "_limit", lambda _, share: left.get(share, 1e9))
     with pytest.raises(ReferenceError, match=r"comes no farther than 0.0167 s .*; ask for --full"):
-        cost(swing, seconds=0.2, effort=FEW, jobs=1)
+        cost(swing, seconds=0.2, effort=replace(FEW, minutes=1.0), jobs=1)
 
 
 def test_a_recommendation_from_a_part_of_the_time_says_so(swing, monkeypatch):
@@ -114,8 +114,23 @@ def test_a_refusal_is_of_a_look_that_could_have_been_used_and_names_both_numbers
     """A floor that is good enough at one look alone is no reference, and is not told as one."""
     floor, smallest = np.array([0.0, 1e-6, 4e-4, 9e-4]), np.array([0.0, 2e-5, 1e-3, 1.5e-3])
     seen = Trace(np.arange(4) / 10, *[None] * 10)
-    error = refuse(Reference(seen, 1e-3, floor, {}), [smallest], 3, 2)
+    error = refuse(Reference(seen, 1e-3, floor, {}), [smallest], 3, 2, cut=False, more="")
     assert "known to 4.0e-04 at 0.2 s, where the smallest error is 1.0e-03; expected a tenth" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("effort", "advice"),
+    [
+        (planning.QUICK, "later looks take more time than there is; ask for --full, or leave out --quick"),
+        (planning.USUAL, "later looks take more time than there is; ask for --full"),
+        (planning.FULL, "ask for more --seconds"),
+    ],
+)
+def test_where_there_was_no_time_to_look_until_methods_differ_more_of_it_is_advised(effort, advice):
+    """More --seconds would not help: those that were asked for were not reached."""
+    exact = Reference(Trace(np.arange(4) / 10, *[None] * 10), 1e-3, np.zeros(4), {})
+    error = refuse(exact, [np.zeros(4)], 3, 2, cut=True, more=planning.more_time(effort))
+    assert f"there is nothing to compare; {advice}, or another scene" in str(error)
 
 
 def test_a_scene_on_which_every_method_is_exact_is_refused():
