@@ -303,6 +303,27 @@ def test_a_window_that_shrinks_by_luck_ends_no_iteration(seed, width):
         assert np.linalg.norm(ends[1] - ends[0], axis=1).max() <= 2.0 * world.settings.tolerance
 
 
+def test_a_solve_that_rounding_has_spoilt_does_not_call_itself_converged():
+    """Condition 3e15: by the residual as it is updated all is well, and vertices are centimetres off."""
+    points = np.concatenate([np.random.default_rng(3).random((300, 2)), [[0, 0], [1, 0], [0, 1], [1, 1]]])
+    rest = np.column_stack([points * (1.0, 1e-5), np.zeros(304)])
+    more = {"bend": "angle", "contact": "none", "tolerance": 1e-6}
+    world = sim.Simulation(scene({**delaunay(points), "vertices": rest, "pins": [0]}, solver="cg", **more))
+    world.place(
+        rest, np.where(world.model.free[:, None], np.random.default_rng(0).normal(size=(304, 3)), 0.0)
+    )
+    begin = world.snapshot()
+    report = world.step()
+    found = world.positions.copy()
+    assert not report.converged
+    assert "gave up" in report.stopped
+    assert report.residual > 100 * world.settings.tolerance
+    world.restore(begin)
+    world.update(solver="direct")
+    world.step()
+    assert np.linalg.norm(world.positions - found, axis=1).max() > report.residual
+
+
 def test_auto_factors_where_iterations_would_take_longer():
     """Not for an easy sheet, but for eight digits more of one a million times stiffer."""
     easy = sim.Simulation(hanging(16))

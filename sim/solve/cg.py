@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import CHUNKS, inner, kernel, parallel_kernel, share
+from sim.compiled import CHUNKS, kernel, parallel_kernel, share
 from sim.solve.coupling import coupled, move
-from sim.solve.preconditioner import in_order, precondition
+from sim.solve.preconditioner import highest, in_order, precondition
 
 WINDOW = 3
 """Iterations between two looks at the error."""
@@ -115,17 +115,36 @@ def turn(p, z, beta):
                 p[i, c] = z[i, c] + beta * p[i, c]
 
 
-@inner
-def _farthest(x, old):
+@parallel_kernel
+def _farthest(x, old, largest):
     """The largest |x_i − old_i|; old becomes x."""
-    most = 0.0
-    for i in range(len(x)):
-        square = 0.0
+    n = len(x)
+    for chunk in numba.prange(CHUNKS):
+        most = 0.0
+        begin, end = share(chunk, n)
+        for i in range(begin, end):
+            square = 0.0
+            for c in range(3):
+                square += (x[i, c] - old[i, c]) ** 2
+                old[i, c] = x[i, c]
+            most = max(most, square)
+        largest[chunk] = most
+    return math.sqrt(highest(largest))
+
+
+@kernel
+def rounding_error(matrix, coupling, preconditioner, work, b, x):
+    """The estimated error of x at the worst vertex by the residual b − A x as it is, not as it was updated.
+
+    The updated one goes on to fall where rounding has long stopped the other (Greenbaum 1997).
+    """
+    multiply(matrix, coupling, preconditioner.local.free, x, work.ap, work.partial)
+    r = work.p
+    for i in range(len(r)):
         for c in range(3):
-            square += (x[i, c] - old[i, c]) ** 2
-            old[i, c] = x[i, c]
-        most = max(most, square)
-    return math.sqrt(most)
+            r[i, c] = b[i, c] - work.ap[i, c] if preconditioner.local.free[i] else 0.0
+    _, residual = precondition(preconditioner, r, work.z, work.partial, work.largest)
+    return LEVERAGE * math.sqrt(residual)
 
 
 @kernel
@@ -162,7 +181,7 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
     for i in range(len(r)):
         for c in range(3):
             p[i, c] = z[i, c]
-    _farthest(x, old)
+    _farthest(x, old, largest)
     estimate, went, drop, dropped, rate = math.inf, 0.0, 0.0, 0.0, 0.0
     for k in range(most):
         if rz == 0.0:
@@ -180,7 +199,7 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
         step_along(alpha, p, ap, x, r)
         rz, residual = precondition(preconditioner, r, z, partial, largest)
         if (k + 1) % WINDOW == 0:
-            far = _farthest(x, old)
+            far = _farthest(x, old, largest)
             if dropped > 0.0:
                 seen = max(math.sqrt(drop / dropped), far / went if went > 0.0 else 0.0)
                 rate = min(max(seen, MEMORY * rate), SLOWEST)

@@ -18,7 +18,7 @@ from sim.compiled import corner, dot, kernel, row
 from sim.contact.gap import GapSprings
 from sim.model import Model
 from sim.settings import Settings
-from sim.solve.cg import BROKEN, CONVERGED, EXHAUSTED, conjugate_gradients, multiply
+from sim.solve.cg import BROKEN, CONVERGED, EXHAUSTED, conjugate_gradients, multiply, rounding_error
 from sim.solve.preconditioner import refresh
 
 MOST_ITERATIONS = 5000
@@ -234,11 +234,21 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h, anew=True
     right, step, allowed = rest.copy(), guess.copy(), settings.tolerance / h
     system = model.matrix, model.coupling, model.preconditioner
     iterations, error, status = conjugate_gradients(*system, model.work, rest, step, shortcut, allowed, most)
-    if status == EXHAUSTED and most < MOST_ITERATIONS:
+    if status == CONVERGED and _may_be_rounding(model, step, allowed):
+        error = max(error, rounding_error(*system, model.work, right, step))
+        status = CONVERGED if error <= allowed else EXHAUSTED
+    if status == EXHAUSTED and auto and n <= LARGEST_DIRECT:
         return _solve_directly(model, settings, right, h, iterations)
     step += _drift(model, loose, rest)
     broken = status == BROKEN or not np.isfinite(step).all()
     return _Linear(step, iterations, h * error, status == CONVERGED, broken, "cg")
+
+
+def _may_be_rounding(model: Model, step: np.ndarray, allowed: float) -> bool:
+    """Whether the rounding of A `step` may be an error above what is `allowed` [m/s]: A is at least M."""
+    largest = float(np.abs(model.matrix.diagonal).max(initial=0.0) * np.abs(step).max(initial=0.0))
+    lightest = float(model.masses.min(initial=np.inf, where=model.free))
+    return bool(np.finfo(float).eps * largest > allowed * lightest)
 
 
 def _worth_a_factorisation(n: int) -> int:

@@ -354,10 +354,7 @@ def _to_vertices(local, room, x, r, z, partial, largest):
             total += a * u + b * v + c * w
             most = max(most, a * a + b * b + c * c)
         partial[chunk], largest[chunk] = total, most
-    most = 0.0
-    for chunk in range(CHUNKS):
-        most = max(most, largest[chunk])
-    return in_order(partial), most
+    return in_order(partial), highest(largest)
 
 
 @inner
@@ -367,3 +364,12 @@ def in_order(parts):
     for part in parts:
         total += part
     return total
+
+
+@inner
+def highest(parts):
+    """The largest of `parts`, none of which is negative."""
+    most = 0.0
+    for part in parts:
+        most = max(most, part)
+    return most
