@@ -28,6 +28,19 @@ LACKING = 0.1
 """Part of the friction of all that slides that a solve may leave out, where it estimated slips too large."""
 
 
+def first_drag(bound: np.ndarray, slip: np.ndarray, mass: np.ndarray, h: float) -> np.ndarray:
+    """(c,) drag [kg/s] to expect before the first solve of a step.
+
+    Args:
+        bound: (c,) the most that friction takes from each contact, by what presses it [N].
+        slip: (c,) at the start of the step, or expected after the one before [m/s].
+        mass: (c,) [kg].
+        h: Length of the step [s].
+    """
+    slowed = np.maximum(slip - bound * h / mass, STEADY * slip)
+    return bound / np.maximum(slowed, CREEP)
+
+
 @kernel
 def expected_drag(contacts, held_drag, pieces, piece_masses, velocities, pushes, friction, h, drag):
     """Fill the `drag` to expect after a solve that ended at `velocities`.

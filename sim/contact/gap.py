@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.compiled import dot, inner, kernel, row, scale
 from sim.contact.contacts import NO_CONTACTS, Contacts, along, set_gaps, weighted
-from sim.contact.friction import CREEP, EXCESS, LACKING, STEADY, expected_drag, slip_of
+from sim.contact.friction import EXCESS, LACKING, expected_drag, first_drag, slip_of
 from sim.contact.response import Response, lacks, targets
 from sim.elements import NONE, Elements, make_elements, set_matrix_factors, set_tension
 from sim.settings import Settings
@@ -217,14 +217,36 @@ def gap_springs(
         force[kept],
         slip[kept],
     )
+    passing = contacts.passing(velocities)
+    closing = along(contacts.normal, passing)
+    elements = _across(response, contacts, mass, force, closing, positions, h)
+    apart = (force == 0.0) & (contacts.start + h * closing >= elements.rest)
+    sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
+    bound = settings.friction * np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
+    drag = first_drag(bound, np.maximum(sliding, slip), mass, h)
+    among = int(np.count_nonzero(kept < pairs))
+    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))))
+    if response.solved and settings.newton > 1:
+        springs.let_go(apart)
+    return springs
+
+
+def _across(
+    response: Response,
+    contacts: Contacts,
+    mass: np.ndarray,
+    force: np.ndarray,
+    closing: np.ndarray,
+    positions: np.ndarray,
+    h: float,
+) -> Elements:
+    """Springs along the normals of c contacts of `mass` (c,), damped where they are `closing` (c,) [m/s]."""
     elements = make_elements(contacts.node, 0)
     elements.gradient[:] = contacts.weight[:, :, None] * contacts.normal[:, None]
     elements.stiffness[:] = response.stiffness * mass / h**2
     elements.rest[:] = targets(response, contacts, h)
     if response.carries:
         elements.rest[:] += force / elements.stiffness
-    passing = contacts.passing(velocities)
-    closing = along(contacts.normal, passing)
     critical = 2.0 * np.sqrt(mass * elements.stiffness)
     damping = np.where(closing < 0.0, response.damping * critical, 0.0)
     if response.solved:  # over a step, that is a spring from the gap at its start: one law says what pushes
@@ -234,17 +256,7 @@ def gap_springs(
     else:
         elements.damping[:] = damping
         elements.drift[:] = along(contacts.normal, contacts.speed)
-    sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
-    apart = (force == 0.0) & (contacts.start + h * closing >= elements.rest)
-    force = np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
-    fast = np.maximum(sliding, slip)
-    slowed = np.maximum(fast - settings.friction * force * h / mass, STEADY * fast)
-    drag = settings.friction * force / np.maximum(slowed, CREEP)
-    among = int(np.count_nonzero(kept < pairs))
-    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))))
-    if response.solved and settings.newton > 1:
-        springs.let_go(apart)
-    return springs
+    return elements
 
 
 @kernel
