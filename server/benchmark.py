@@ -5,14 +5,14 @@ from __future__ import annotations
 import datetime
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from rich.console import Console
 
 from server.study import cell_text, show, write
 from sim import bench
-from sim.studies import Result, Table
+from sim.studies import Progress, Result, Table
 
 BUSY = 0.5
 """Load average from which on other processes disturb."""
@@ -38,7 +38,7 @@ def run_bench(
     from sim.bench.tables import tabulate
     from sim.export import check_outputs
 
-    threads = list(range(1, min(2, os.cpu_count() or 1) + 1)) if threads is None else threads
+    threads = _threads() if threads is None else threads
     bench.check(sizes, threads, steps, seconds)
     check_outputs(**files)
     computer = hardware()
@@ -56,25 +56,43 @@ def run_bench(
 
 def run_scenes(scenes: Sequence[str], steps: int, cold: bool, **files: str | None) -> int:
     """The same for what effects cost whole scenes."""
-    from sim.bench.hardware import hardware, versions
     from sim.bench.scenes import WARM, measure_scenes
-    from sim.export import check_outputs
 
     if not WARM + 2 <= steps <= 100_000:
         raise ValueError(f"--steps: expected {WARM + 2} to 100,000, got {steps}")
+    words = ["--scenes", *scenes, "--steps", str(steps), *["--cold"] * cold]
+    return _measured("scenes", words, lambda told: measure_scenes(scenes, steps, cold, told), **files)
+
+
+def run_contact(sizes: Sequence[int], threads: Sequence[int] | None, steps: int, **files: str | None) -> int:
+    """The same for what each response to contact costs, and what it keeps out."""
+    from sim.bench.contact import WARM, measure_contact
+
+    threads = _threads() if threads is None else threads
+    bench.check(sizes, threads, steps, bench.SECONDS)
+    if steps < WARM + 2:
+        raise ValueError(f"--steps: expected {WARM + 2} to 100,000, got {steps}")
+    words = ["--contact", "--sizes", *map(str, sizes), "--threads", *map(str, threads), "--steps", str(steps)]
+    return _measured("contact", words, lambda told: measure_contact(sizes, threads, steps, told), **files)
+
+
+def _measured(
+    name: str, words: Sequence[str], measure: Callable[[Progress], Result], **files: str | None
+) -> int:
+    """Measure, say how far it is, and hand over what was found by `muslin bench` with these `words`."""
+    from sim.bench.hardware import hardware, versions
+    from sim.export import check_outputs
+
     check_outputs(**files)
     about: dict[str, object] = {
-        "command": shlex.join(
-            ["muslin", "bench", "--scenes", *scenes, "--steps", str(steps), *["--cold"] * cold]
-        ),
+        "command": shlex.join(["muslin", "bench", *words]),
         "date": datetime.date.today().isoformat(),
         "hardware": hardware(),
         "versions": versions(),
     }
     with Console(stderr=True).status("starting") as status:
-        told = lambda done, what: status.update(f"{done:.0%}  {what}")  # noqa: E731
-        result = measure_scenes(scenes, steps, cold, told)
-    _hand_over(result, "scenes", about, **files)
+        result = measure(lambda done, what: status.update(f"{done:.0%}  {what}"))
+    _hand_over(result, name, about, **files)
     return 0
 
 
@@ -88,6 +106,11 @@ def _hand_over(result: Result, bench: str, about: dict[str, object], **files: st
     if (path := files.get("markdown")) is not None:
         text = as_markdown(result).encode()
         write_whole(path, lambda stream: stream.write(text))
+
+
+def _threads() -> list[int]:
+    """1, and 2 where there are as many cores."""
+    return list(range(1, min(2, os.cpu_count() or 1) + 1))
 
 
 def _run(cases: list[bench.Case]) -> list[tuple[bench.Case, bench.Measured]]:

@@ -57,6 +57,8 @@ class Bench:
     """Time for each case of a peer [s]; accuracies and Muslin's own steps get more."""
     peers: bool = False
     """Measure other simulators, too: those of the extra `peers` that are installed."""
+    contact: bool = False
+    """In place of that, drape the sheets with each response and each detection."""
     scenes: Annotated[Texts, arg(metavar="SCENE ...")] = ()
     """In place of sheets, step these scenes with effects forced on, as they are, and as their audit would."""
     cold: bool = False
@@ -67,9 +69,13 @@ class Bench:
 
     def __call__(self) -> int:
         """Do it and return the exit code."""
-        from server.benchmark import run_bench, run_scenes
+        from server.benchmark import run_bench, run_contact, run_scenes
 
         files = {"json": self.files.json, "html": self.files.html, "markdown": self.markdown}
+        if sum(map(bool, (self.contact, self.scenes, self.peers))) > 1:
+            raise ValueError("--contact, --scenes, --peers: expected one of them, got several")
         if self.scenes:
             return run_scenes(self.scenes, self.steps, self.cold, **files)
+        if self.contact:
+            return run_contact(self.sizes, self.threads or None, self.steps, **files)
         return run_bench(self.sizes, self.threads or None, self.steps, self.seconds, self.peers, **files)

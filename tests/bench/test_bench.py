@@ -9,6 +9,7 @@ import sim
 from server.benchmark import as_markdown, conditions
 from server.cli import main
 from sim import bench
+from sim.bench.contact import PHASES, WAYS, measure_contact
 from sim.bench.peers import MUSLIN, PEERS
 from sim.bench.scenes import measure_scenes
 from sim.bench.sheet import KINDS
@@ -57,6 +58,17 @@ def test_scenes_are_stepped_with_effects_forced_on_as_they_are_and_as_audited():
     assert rows[2]["moved by [%]"] < 1.0
     assert all(row["ms, median"] > 0.0 for row in rows)
     assert [row["steps without a list [%]"] for row in rows[:2]] == [0.0, 100.0]  # auto skips all of them
+
+
+def test_sheets_are_draped_with_each_response_and_each_detection():
+    sheets, queries = measure_contact((256,), (1,), 30).tables
+    rows = [dict(zip(sheets.columns, row, strict=True)) for row in sheets.rows]
+    assert [(row["response"], row["detection"]) for row in rows] == WAYS
+    assert [row["crossings, most"] for row in rows if row["response"] == "impulse"] == [0, 0]
+    assert [row["deepest [mm]"] > 100.0 for row in rows] == [False] * 6 + [True]  # it falls through the ball
+    assert all(row[phase] > 0.0 for row in rows for phase in ("ms, median", *PHASES, "else"))
+    assert [row[0] for row in queries.rows] == ["vertex-triangle", "edge-edge"]
+    assert all(1.0 < row[2] < 99.0 for row in queries.rows), "some meet, and some do not"
 
 
 def test_a_plan_has_both_sheets_at_each_size_and_number_of_threads():
@@ -177,6 +189,8 @@ def test_a_busy_computer_is_spoken_of(load, count):
         (["--threads", "0"], f"--threads: expected 1 to {os.cpu_count()}, the cores of this computer, got 0"),
         (["--steps", "1"], "--steps: expected 2 to 100,000, got 1"),
         (["--seconds", "0"], "--seconds: expected > 0 and ≤ 3600, got 0"),
+        (["--contact", "--peers"], "--contact, --scenes, --peers: expected one of them, got several"),
+        (["--contact", "--steps", "11"], "--steps: expected 12 to 100,000, got 11"),
         (["--json", ""], "--json: expected a file, got an empty name"),
         (["--html", "x", "--markdown", "x"], "--markdown: expected another file than --html, got x"),
         (["--markdown", "no/x"], "no/x: cannot be written: No such file or directory"),
