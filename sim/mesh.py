@@ -114,10 +114,9 @@ def bare_edges(mesh: Mesh) -> np.ndarray:
 
 def triangles_at(edges: np.ndarray, triangles: np.ndarray, n: int) -> np.ndarray:
     """(e,) how many of the triangles of n vertices each edge is a side of."""
-    number = np.array([n, 1], dtype=np.int64)
-    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)) @ number
+    sides = edge_numbers(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), n)
     of, count = np.unique(sides, return_counts=True)
-    wanted = np.sort(edges) @ number
+    wanted = edge_numbers(edges, n)
     at = np.minimum(np.searchsorted(of, wanted), len(of) - 1)
     return np.where(of[at] == wanted, count[at], 0) if len(of) else np.zeros(len(edges), dtype=np.int64)
 
@@ -307,9 +306,13 @@ def _pins(pins: list[int | str], names: dict[str, np.ndarray], n: int, where: st
 def distinct_edges(triangles: np.ndarray, extra: np.ndarray, n: int) -> np.ndarray:
     """(e, 2) int32 every edge of the triangles (m, 3) once, and the `extra` (k, 2), of n vertices."""
     sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]], extra])
-    low, high = sides.min(axis=1), sides.max(axis=1)
-    _, first = np.unique(low * n + high, return_index=True)
-    return np.stack([low[first], high[first]], axis=1).astype(np.int32)
+    _, first = np.unique(edge_numbers(sides, n), return_index=True)
+    return np.sort(sides[first]).astype(np.int32)
+
+
+def edge_numbers(ends: np.ndarray, n: int) -> np.ndarray:
+    """(e,) int64 one number for each edge by its `ends` (e, 2), of n vertices, whichever comes first."""
+    return ends.min(axis=1).astype(np.int64) * n + ends.max(axis=1)
 
 
 def sides_of(triangles: np.ndarray, n: int) -> np.ndarray:
@@ -322,7 +325,7 @@ def build_hinges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, tuple[str, 
     start = triangles.ravel()
     end = triangles[:, [1, 2, 0]].ravel()
     opposite = triangles[:, [2, 0, 1]].ravel()
-    key = np.minimum(start, end) * n + np.maximum(start, end)
+    key = edge_numbers(np.stack([start, end], axis=1), n)
     order = np.argsort(key, kind="stable")
     _, first, count = np.unique(key[order], return_index=True, return_counts=True)
     pairs = first[count == 2]

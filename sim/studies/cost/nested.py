@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from sim.mesh import build_mesh, sides_of, triangles_at
+from sim.mesh import build_mesh, edge_numbers, sides_of, triangles_at
 from sim.scene import MAX_VERTICES, Arrays, Grid, Scene
 from sim.settings import Settings
 
@@ -64,11 +64,9 @@ def _quartered(scene: Scene, cloth: Any) -> Arrays | None:
     held = build_mesh(replace(alone, cloth=[named])).pinned
     border = triangles_at(sides, mesh.triangles, n) == 1
     along = np.flatnonzero(border & np.isin(sides, held).all(axis=1))
-    number = np.array([n, 1], dtype=np.int64)
 
     def middles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        ends = np.sort(np.stack([a, b], axis=1).astype(np.int64), axis=1)
-        return n + np.searchsorted(sides @ number, ends @ number)
+        return n + np.searchsorted(edge_numbers(sides, n), edge_numbers(np.stack([a, b], axis=1), n))
 
     a, b, c = mesh.triangles.T
     ab, bc, ca = middles(a, b), middles(b, c), middles(c, a)
