@@ -13,9 +13,12 @@ import sim
 from server.labels import label, wrong_on_purpose
 from server.lane import Frame
 from server.meter import Meter
+from server.prober import Reading
+from server.stage import ALARM, LABEL, MANY
 from server.tables import effects_table, sums_table, variant_table
 from sim import Settings
 from sim.effects import EFFECTS, TOLD_BESIDES
+from sim.probe import LocalError
 from sim.springs import BENDING
 
 
@@ -24,6 +27,9 @@ def meter(**frame):
     meter.add(Frame(**frame))
     return meter
 
+
+VIEW, CHARACTER = 672.0, 5.4
+"""Width between the docks on a 1280 x 720 screen, and of a character of a label of size 1 [CSS px]."""
 
 BOOKED = ("injected", "dissipated")
 
@@ -149,6 +155,19 @@ def test_a_remark_stands_under_what_was_measured():
         "– crossings",
         "fails on purpose",
     ]
+
+
+@pytest.mark.parametrize(
+    "refused", ["", "step refused: the load of vertex 3 is too heavy for what carries it"]
+)
+def test_lines_of_a_label_have_room_beside_those_of_three_other_cloths(refused):
+    step = report({"contact": "ran: 3 contacts; may tunnel: moved 90 mm, thickness 5 mm"})
+    one = meter(report=step, steps=9, ms={"total": 485.5}, crossings=12, time=61.2, refused=refused).read()
+    one.reading = Reading(LocalError(4.1e-6, 1e-9, 0.1, 1.0, 0), time=11.9)
+    text, alarm = label("modified beside a long name", one, remark="fails on purpose, as is to be seen")
+    room = VIEW / 4 / MANY / (ALARM if alarm else LABEL) / CHARACTER
+    assert max(map(len, text.split("\n"))) <= room
+    assert alarm or "485.5 ms · 0.00041 %\nerror at 11.9 s\n" in text
 
 
 def test_sizes_of_both_momenta_stand_under_the_energies():
