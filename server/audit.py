@@ -9,6 +9,7 @@ from matplotlib.ticker import FuncFormatter
 
 from server.figures import HATCHES, LOOKS, Figures, axes_for
 from server.palette import INK, STONE
+from sim.effects import title
 from sim.studies import Result, Table
 from sim.studies.cost.report import AuditedEffect, AuditReport
 from sim.studies.cost.verdict import percent
@@ -77,7 +78,7 @@ def sentence(report: AuditReport) -> str:
             f"Within {percent(report.tolerance)} {report.scene} needs every effect that runs: "
             f"{report.ms:.3g} ms per step."
         )
-    *first, last = (name.replace("_", " ") for name in report.recommended)
+    *first, last = map(title, report.recommended)
     names = f"{', '.join(first)} and {last}" if first else last
     return (
         f"Within {percent(report.tolerance)} {report.scene} does without {names}: "
@@ -105,7 +106,7 @@ def audit_figures(report: AuditReport) -> Figures:
             beside = {"va": "center", "zorder": 4, "bbox": {"fc": "white", "ec": "none", "pad": 1.5}}
             axes.text(1.15 * width, i, f"{words}, for {cost_text(effect.cost_share)} of a step", **beside)
         axes.axvline(error, color=INK.css, linestyle="--")
-        axes.set_yticks(range(len(known)), [e.name.replace("_", " ") for e in known])
+        axes.set_yticks(range(len(known)), [title(e.name) for e in known])
         axes.set(xscale="log", xlabel="moves the cloth by, relative; dashed: the numerical error")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{100 * x:g} %"))
         axes.set_xlim(least, 300.0 * most)  # room for words

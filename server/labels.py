@@ -137,7 +137,7 @@ def measured(meter: Meter) -> str:
     """Milliseconds per step and local error; below, its time if old, what is inside and what crosses."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
     what = "error " * meter.reading.off
-    at = [f"error at {meter.reading.time:.1f} s"] * is_old(meter)
+    at = [f"% as of {meter.reading.time:.1f} s"] * is_old(meter)
     return "\n".join([f"{ms} ms · {what}{error_text(meter.reading)}", *at, *crossed(meter)])
 
 

@@ -15,7 +15,7 @@ from server.lane import Frame
 from server.meter import Meter
 from server.prober import Reading
 from server.stage import ALARM, LABEL, MANY
-from server.tables import effects_table, sums_table, variant_table
+from server.tables import BAR, effects_table, sums_table, variant_table
 from sim import Settings
 from sim.effects import EFFECTS, TOLD_BESIDES
 from sim.probe import LocalError
@@ -85,7 +85,7 @@ def test_what_did_nothing_is_dim_and_each_effect_says_what_it_does():
     assert re.findall(r'<tr class="(.*?)" title="(.*?)"><td>(.*?)</td>', table) == [
         ("", EFFECTS["gravity"].changes, "gravity"),
         ("dim", EFFECTS["wind"].changes, "wind"),
-        ("dim", EFFECTS["cloth_collision"].changes, "cloth collision"),
+        ("dim", EFFECTS["cloth_collision"].changes, "cloth–cloth collision"),
     ]
 
 
@@ -119,16 +119,16 @@ def test_each_effect_has_its_part_of_the_step():
         "<" not in cell.replace("<div", "").replace("</div", "").replace("<br", "") for *_, cell in rows
     )
     plain = "without what it adds to the work of the solver"
-    assert found["self collision"][0] == f"25 % of the step: {plain}"
-    assert "border-left:25.0px" in found["self collision"][1]
-    assert found["self collision"][1].endswith("25 %<br>2.5 ms")
+    assert found["self-collision"][0] == f"25 % of the step: {plain}"
+    assert f"border-left:{0.25 * BAR:.1f}px" in found["self-collision"][1]
+    assert found["self-collision"][1].endswith("25 %<br>2.5 ms")
     assert found["gravity"][1].endswith("< 0.1 %<br>0.002 ms")
     assert found["damping"][0] == "< 3.1 % of the step: it is computed along with the forces of springs"
     assert found["damping"][1].endswith("< 3.1 %<br>< 0.31 ms")
     assert "border-left:0.0px" in found["damping"][1]
     assert found["wind"] == ("0 of the step: nothing of it is computed", "0")
     assert found["friction"] == ("in the figure of contact, which has it of one piece", "in contact")
-    assert "border-left:40.0px" in found["integrator"][1]
+    assert f"border-left:{0.4 * BAR:.1f}px" in found["integrator"][1]
 
 
 def table_of(step):
@@ -167,7 +167,7 @@ def test_lines_of_a_label_have_room_beside_those_of_three_other_cloths(refused):
     text, alarm = label("modified beside a long name", one, remark="fails on purpose, as is to be seen")
     room = VIEW / 4 / MANY / (ALARM if alarm else LABEL) / CHARACTER
     assert max(map(len, text.split("\n"))) <= room
-    assert alarm or "485.5 ms · 0.00041 %\nerror at 11.9 s\n" in text
+    assert alarm or "485.5 ms · 0.00041 %\n% as of 11.9 s\n" in text
 
 
 def test_sizes_of_both_momenta_stand_under_the_energies():
