@@ -59,10 +59,11 @@ def caption(text: str) -> str:
     return f'<div class="muslin dim" style="padding-top:.5em">{escape(text)}</div>'
 
 
-def color_key(names: Sequence[str]) -> str:
-    """Which colour is which variant; nothing where there is one."""
+def color_key(names: Sequence[str], setting: str = "") -> str:
+    """Which colour is which variant, by the values of a setting; nothing where there is one."""
     parts = (f"<span>{style.chip(VARIANTS[i])}{escape(name)}</span>" for i, name in enumerate(names))
-    return f'<div class="key">{"".join(parts)}</div>' if len(names) > 1 else ""
+    head = f"<span>{escape(setting)}</span>" if setting else ""
+    return f'<div class="key">{head}{"".join(parts)}</div>' if len(names) > 1 else ""
 
 
 def number(value: float | None, digits: int = 1) -> str:
