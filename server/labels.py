@@ -89,7 +89,7 @@ def label(
         "▲ may tunnel" if any(map(may_tunnel, ran)) else "",
     ]
     if alarm:
-        why = textwrap.wrap(meter.latest.refused, ALARM_WIDTH, max_lines=5, placeholder=" …")
+        why = textwrap.wrap(meter.latest.refused, ALARM_WIDTH, max_lines=3, placeholder=" …")
         suspected = likeliest(meter.latest.blamed, meter.latest.settings)
         lines = [f"▲ {name} stopped", *why, f"likeliest: {suspected}" if suspected else ""]
     elif waiting:
