@@ -9,6 +9,7 @@ from matplotlib.ticker import FuncFormatter
 
 from server.figures import HATCHES, LOOKS, Figures, axes_for
 from server.palette import INK, STONE
+from sim.effects import title
 from sim.studies import Result, Table
 from sim.studies.cost.report import AuditedEffect, AuditReport
 from sim.studies.cost.verdict import percent
@@ -61,8 +62,13 @@ def _row(effect: AuditedEffect) -> tuple[str | float | None, ...]:
 
 
 def cost_text(share: float) -> str:
-    """A cost as part of a step in percent; a difference of times that is noise may be below zero."""
-    return f"{100.0 * share + 0.0:.1f} %".replace("-", "−")
+    """What an effect costs, as part of a step; a difference of times that is noise may be below zero.
+
+    Where cloth goes wild without it, and each step takes more than twice as long, that is said instead.
+    """
+    if share < -1.0:
+        return f"{1.0 - share:.3g} × the time without it"
+    return f"for {100.0 * share + 0.0:.1f} % of a step".replace("-", "−")
 
 
 def _moves(effect: AuditedEffect) -> float:
@@ -77,7 +83,7 @@ def sentence(report: AuditReport) -> str:
             f"Within {percent(report.tolerance)} {report.scene} needs every effect that runs: "
             f"{report.ms:.3g} ms per step."
         )
-    *first, last = (name.replace("_", " ") for name in report.recommended)
+    *first, last = map(title, report.recommended)
     names = f"{', '.join(first)} and {last}" if first else last
     return (
         f"Within {percent(report.tolerance)} {report.scene} does without {names}: "
@@ -103,9 +109,9 @@ def audit_figures(report: AuditReport) -> Figures:
                 f"  {percent(effect.influence)}" if effect.influence is not None else "  cannot be left out"
             )
             beside = {"va": "center", "zorder": 4, "bbox": {"fc": "white", "ec": "none", "pad": 1.5}}
-            axes.text(1.15 * width, i, f"{words}, for {cost_text(effect.cost_share)} of a step", **beside)
+            axes.text(1.15 * width, i, f"{words}, {cost_text(effect.cost_share)}", **beside)
         axes.axvline(error, color=INK.css, linestyle="--")
-        axes.set_yticks(range(len(known)), [e.name.replace("_", " ") for e in known])
+        axes.set_yticks(range(len(known)), [title(e.name) for e in known])
         axes.set(xscale="log", xlabel="moves the cloth by, relative; dashed: the numerical error")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{100 * x:g} %"))
         axes.set_xlim(least, 300.0 * most)  # room for words

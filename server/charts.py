@@ -25,6 +25,9 @@ from server.tables import (
 )
 from server.tradeoff import Tradeoff
 
+TRADEOFF = caption("local error of a frame against its cost")
+"""What stands above that chart."""
+
 MEASURE = "Measure the damping"
 
 NO_MOMENTUM = 1e-9
@@ -43,7 +46,7 @@ class Charts:
         panel = gui.add_panel()
         self._tradeoff = Tradeoff()
         with panel.add_tab("Cost"):
-            gui.add_html(caption("local error of a frame against its cost"))
+            gui.add_html(TRADEOFF)
             self._chart = gui.add_html("")
             self._table = gui.add_html("")
             gui.add_html(caption("milliseconds per step, by phase"))
@@ -65,7 +68,7 @@ class Charts:
         panel.set_width(style.RIGHT_WIDTH)
         self._setting, self._names = "", [""]
         self.picture = ""
-        """The chart of error against cost, with its key, as HTML."""
+        """The chart of error against cost, with its title and key, as HTML."""
 
     def name(self, setting: str, names: Sequence[str]) -> None:
         """Call the variants so, by their values of the setting that differs."""
@@ -89,7 +92,7 @@ class Charts:
         """Write the present numbers; and where time has moved on, a point of every line."""
         self._tradeoff.add(meters)
         chart = self._tradeoff.svg(self._names, meters)
-        self.picture = chart + color_key(self._names)
+        self.picture = TRADEOFF + chart + color_key(self._names, self._setting)
         update(self._chart, f'<div class="muslin">{chart}</div>')
         update(self._table, variant_table(self._setting, self._names, meters))
         update(self._threads, threads_line(meters))

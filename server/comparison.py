@@ -20,6 +20,9 @@ CORES = os.cpu_count() or 1
 NOT_COMPARED = {"threads", "seed", *READ_OUTS}
 """Settings that change no cloth, or only by chance."""
 
+SAYING_NOTHING = {"none", "off", "auto", "on"}
+"""Values that mean nothing without the name of their setting."""
+
 FAILS = "fails on purpose"
 """Said of a variant that is there to show what goes wrong with its setting."""
 
@@ -79,10 +82,11 @@ class Comparison:
         """What one variant is called: the value that sets it apart."""
         if not self.by:
             return "cloth"
-        words = FIELDS[self.by].label.split()
-        if FIELDS[self.by].type == "choice" or not words[-1].isascii() or self.count > 2:
-            return self.short_name(index)
-        return f"{' '.join(words)} {self.short_name(index)}"
+        label, short = FIELDS[self.by].label, self.short_name(index)
+        if short in SAYING_NOTHING:
+            return f"{label} {short}"
+        plain = FIELDS[self.by].type == "choice" or not label.split()[-1].isascii() or self.count > 2
+        return short if plain else f"{label} {short}"
 
     def short_name(self, index: int) -> str:
         """The same where it is plain which setting is meant, or there is little room."""
@@ -127,7 +131,8 @@ def next_value(field: Field, taken: list[Any]) -> Any:
     """A value for one more variant that shows a difference to those `taken`."""
     if field.choices is not None:
         options = [o for o in field.choices() if o not in taken]
-        return next((o for o in options if o != "none"), options[0] if options else taken[-1])
+        options.sort(key=lambda o: (o != "off", o == "none"))  # what is on is the same cloth as auto
+        return options[0] if options else taken[-1]
     low, high = field.slider or (field.minimum or 0.0, field.maximum or 1.0)
     if field.scale == "log":
         ladder = [low * (high / low) ** (i / 4) for i in range(5)]

@@ -216,7 +216,7 @@ class LogSlider(Control):
             f"{row}{{margin:-{style.ROW}em 0 0 auto;width:{style.BOX + 1.25}em;position:relative;z-index:4}}"
             f'{row} div:has(>p>label[for="{box}"]){{display:none}}'
             f"{row} input{{min-height:1.875em!important;height:1.875em!important}}"
-            f"{row} input{{padding:.375em;letter-spacing:-.5px}}"
+            f"{row} input{{padding:0 .25em!important;letter-spacing:-.5px}}"
         )
 
 

@@ -16,7 +16,7 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def number_text(value: float, digits: int = 4) -> str:
     """So many digits, without an exponent where that is short enough: 10000, 0.0001, 1e-06."""
-    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.{digits}g}"
+    return f"{value:.0f}" if min(1e3, 10.0**digits) <= abs(value) < 1e7 else f"{value:.{digits}g}"
 
 
 def written(value: float, digits: int = 4) -> str:

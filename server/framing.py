@@ -7,7 +7,7 @@ from typing import TypeGuard
 import numpy as np
 
 from sim.mesh import Mesh, vertex_masses
-from sim.placement import upright
+from sim.placement import pose
 from sim.scene import Box, Capsule, Obstacle, Plane, Scene, Sphere
 from sim.shells import Shell
 
@@ -25,6 +25,12 @@ LABEL_PART = 0.12
 
 MARGIN = 1.03
 """Times that the view is larger than what it must hold."""
+
+CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+"""(8, 3) of a box of size 1 at the origin."""
+
+BETWEEN = 4
+"""Moments at which a moving obstacle is looked at, for each key of its path."""
 
 NO_SIZE = 1.0
 """Size [m] that a single point is framed with."""
@@ -100,13 +106,12 @@ class Framing:
         The view holds all variants above the part of its height that is `covered` from below, and over each
         place for a label as much of its height as `labels`; what is beside the docks is not part of it.
         """
-        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         sides = self._target + np.outer([-0.5, 0.5], self._width * self._right)
-        points = np.concatenate([self._low + corners * (self._high - self._low), sides, [self.label_place]])
+        points = np.concatenate([self._low + CORNERS * (self._high - self._low), sides, [self.label_place]])
         points = (points + self.offsets[:, None]).reshape(-1, 3) - self._target
         depth, across, above = points @ self._toward, points @ self._right, points @ self._up
         tangent, count = np.tan(fov / 2) / MARGIN, len(self.offsets)
-        top = np.tile([*np.ones(len(corners) + 2), 1.0 - 2.0 * labels], count) * tangent
+        top = np.tile([*np.ones(len(CORNERS) + 2), 1.0 - 2.0 * labels], count) * tangent
         bottom = (1.0 - 2.0 * covered) * tangent
         # Lifted by the same, one point is below `top` and the other above `bottom` from this distance on:
         apart = (above + top * depth)[:, None] - (above - bottom * depth)
@@ -173,26 +178,36 @@ def swung(mesh: Mesh, down: np.ndarray) -> np.ndarray:
 
 def obstacle_corners(obstacle: Obstacle, shell: Shell | None = None) -> np.ndarray:
     """(k, 3) points [m] that bound what an obstacle fills, along its path; none for a plane."""
-    if shell is not None:
-        stands = shell.vertices @ upright(obstacle).T
-        low, high = stands.min(axis=0), stands.max(axis=0)
-        return np.concatenate([[place + low, place + high] for place in _places(obstacle)])
+    own, radius = _own_points(obstacle) if shell is None else (shell.vertices, 0.0)
+    if not len(own):
+        return np.empty((0, 3))
+    corners = []
+    for position, rotation in (pose(obstacle, time) for time in _moments(obstacle)):
+        points = position + own @ rotation.T
+        corners += [points.min(axis=0) - radius, points.max(axis=0) + radius]
+    return np.array(corners)
+
+
+def _own_points(obstacle: Obstacle) -> tuple[np.ndarray, float]:
+    """(k, 3) points [m] in an obstacle's own frame, and the radius [m] of what is about them."""
     match obstacle:
         case Sphere(radius=radius):
-            half = np.full(3, radius)
+            return np.zeros((1, 3)), radius
         case Box(size=size):
-            half = np.array(size) / 2
+            return (CORNERS - 0.5) * size, 0.0
         case Capsule(start=start, end=end, radius=radius):
-            half = np.abs(np.subtract(end, start)) / 2 + radius
+            half = float(np.linalg.norm(np.subtract(end, start))) / 2
+            return np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]), radius
         case _:
-            return np.empty((0, 3))
-    return np.concatenate([[place - half, place + half] for place in _places(obstacle)])
+            return np.empty((0, 3)), 0.0
 
 
-def _places(obstacle: Obstacle) -> list[np.ndarray]:
-    """Where the reference point of an obstacle gets to [m]."""
-    keyed = (np.array(key.position) for key in obstacle.path if key.position is not None)
-    return [np.array(obstacle.reference), *keyed]
+def _moments(obstacle: Obstacle) -> np.ndarray:
+    """Times [s] at which to look at an obstacle: those of its keys, and some between, where it may turn."""
+    keys = [key.time for key in obstacle.path]
+    if not keys:
+        return np.zeros(1)
+    return np.interp(np.arange(BETWEEN * len(keys)) / BETWEEN, range(len(keys)), keys)
 
 
 def is_floor(obstacle: Obstacle) -> TypeGuard[Plane]:

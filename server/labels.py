@@ -12,10 +12,10 @@ from server.style import UNKNOWN
 from sim.settings import FIELDS, Settings
 from sim.springs import BENDING
 
-WIDTH = 34
-"""Characters of a line; two cloths side by side leave no room for more."""
+WIDTH = 25
+"""Characters of a line; four cloths side by side leave no room for more."""
 
-ALARM_WIDTH = 27
+ALARM_WIDTH = 22
 """The same of what is written larger."""
 
 OLD = 5.0
@@ -81,15 +81,15 @@ def label(
         remark: What else is to be said of it.
     """
     alarm = bool(meter.latest.refused)
-    said = [] if alarm else effects(meter).values()  # of a step that was done
+    ran = [] if alarm else effects(meter).values()  # of a step that was done
     remarks = [
         remark,
         wrong_on_purpose(meter.latest.settings),
-        "▲ unstable step" if any(map(is_unstable, said)) else "",
-        "▲ may tunnel" if any(map(may_tunnel, said)) else "",
+        "▲ unstable step" if any(map(is_unstable, ran)) else "",
+        "▲ may tunnel" if any(map(may_tunnel, ran)) else "",
     ]
     if alarm:
-        why = textwrap.wrap(meter.latest.refused, ALARM_WIDTH, max_lines=4, placeholder=" …")
+        why = textwrap.wrap(meter.latest.refused, ALARM_WIDTH, max_lines=3, placeholder=" …")
         suspected = likeliest(meter.latest.blamed, meter.latest.settings)
         lines = [f"▲ {name} stopped", *why, f"likeliest: {suspected}" if suspected else ""]
     elif waiting:
@@ -97,7 +97,9 @@ def label(
     else:
         late = f"{behind:.1f} s behind" if behind else ""
         lines = [name, measured(meter), late]
-    return "\n".join(filter(None, [*lines, *remarks])), alarm
+    width = ALARM_WIDTH if alarm else WIDTH
+    said = "\n".join([*lines, *remarks]).split("\n")
+    return "\n".join(short for line in said for short in textwrap.wrap(line, width)), alarm
 
 
 def error_text(reading: Reading) -> str:
@@ -132,11 +134,11 @@ def is_old(meter: Meter) -> bool:
 
 
 def measured(meter: Meter) -> str:
-    """Milliseconds per step and local error, with its time if old; below, what is inside and what crosses."""
+    """Milliseconds per step and local error; below, its time if old, what is inside and what crosses."""
     ms = UNKNOWN if meter.ms is None else f"{meter.ms['total']:.1f}"
-    at = f" at {meter.reading.time:.1f} s" * is_old(meter)
     what = "error " * meter.reading.off
-    return "\n".join([f"{ms} ms · {what}{error_text(meter.reading)}{at}", *crossed(meter)])
+    at = [f"% as of {meter.reading.time:.1f} s"] * is_old(meter)
+    return "\n".join([f"{ms} ms · {what}{error_text(meter.reading)}", *at, *crossed(meter)])
 
 
 def crossed(meter: Meter) -> list[str]:

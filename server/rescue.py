@@ -89,12 +89,12 @@ class Rescue:
         for i in stopped:
             frame = frames[i]
             chip = style.chip(VARIANTS[i]) if comparison.count > 1 else ""
-            lines.append(f"<p>{chip}<b>▲ {escape(comparison.name(i))} stopped: {escape(frame.refused)}</b>")
+            lines.append(f"<p>{chip}<b>▲ {escape(comparison.name(i))} stopped: {escape(frame.refused)}.</b>")
             if what := likeliest(frame.blamed, comparison.settings(i)):
                 lines.append(f" Likeliest: <b>{escape(what)}</b>.")
             lines.append("</p>")
         return (
-            f'<div class="muslin alarm">{"".join(lines)}<p class="small">Its last good state is kept. '
+            f'<div class="muslin alarm">{"".join(lines)}<p class="small">The last good state is kept. '
             "Change a setting to go on, or:</p></div>"
         )
 

@@ -78,6 +78,7 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin h1{font-size:1.1em;margin:.1em 0 .15em;font-weight:650}"
         ".muslin p{margin:0 0 .3em}.muslin ul{margin:.1em 0 .2em;padding-left:1.1em}"
         ".muslin table{width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums}"
+        ".muslin a{color:inherit}"
         ".muslin td,.muslin th{text-align:right;padding:.1em .2em;font-weight:400}"
         ".muslin th{color:#6f675f;font-size:.88em}"
         ".muslin.many{font-size:.74em;white-space:nowrap;padding-right:1.6em}"
@@ -88,9 +89,10 @@ def page(control_rules: str, *rows: Any) -> str:
         ".muslin .small{font-size:.88em;line-height:1.25;color:#5d564f}.muslin li::marker{content:'▸ '}"
         ".muslin.left{font-size:.77em}.muslin.left td{text-align:left}"
         ".muslin.left td:first-child{white-space:nowrap;padding-right:.8em}"
-        ".muslin.effects{font-size:.77em}.muslin.effects table{margin-bottom:.8em}"
-        ".muslin.effects td{text-align:left;vertical-align:top}"
-        ".muslin.effects td:nth-child(2){white-space:nowrap;text-align:right}"
+        ".muslin.effects{font-size:.77em;padding-right:1.6em}"
+        ".muslin.effects table{margin-bottom:.8em;table-layout:fixed}"
+        ".muslin.effects td{text-align:left;vertical-align:top}.muslin.effects td:first-child{width:31%}"
+        ".muslin.effects td:nth-child(2){white-space:nowrap;text-align:right;width:31%}"
         ".muslin .rule>td{border-top:1px solid #d8d2c9}"
         "[role=tab]{padding:.7em .5em!important}[role=tab],[role=tab] *{font-size:12px!important}"
         ".muslin.alarm{border-left:4px solid #34302c;padding-left:.5em;margin:0 .5em .2em}"
@@ -128,7 +130,8 @@ def projector(chart: str, beside: bool) -> str:
 
 HELP = (
     "Above each cloth: milliseconds per step, and the local error of one frame, beside a finer run. "
-    "≈ is measured quickly, ≥ and < are all that is known. Below: what is in obstacles, and what crosses.",
+    "≈ is measured quickly, ≥ and < are all that is known; “% as of” says when, where that is long ago. "
+    "Below: what is in obstacles, and what crosses.",
     "Point at a setting, an effect or a number to be told what it is.",
     "Keys act unless a box was clicked last, which takes them as text: click on the cloths first.",
 )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from server.comparison import comparable
 from server.controls import tooltip
-from sim.effects import CHOICES, EFFECTS, Effect, effects_with, state
+from sim.effects import CHOICES, EFFECTS, Effect, effects_with, state, title
 from sim.settings import FIELDS, READ_OUTS, Settings
 
 if TYPE_CHECKING:
@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
 NONE = "–"
 """No effect picked."""
-
-
-def title(name: str) -> str:
-    """An effect's name as people read it."""
-    return name.replace("_", " ")
 
 
 def setting_of(name: str) -> str:

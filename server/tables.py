@@ -24,7 +24,7 @@ from server.meter import Meter
 from server.palette import VARIANTS
 from server.read_outs import ReadOut, read_outs
 from sim.accounts import DISSIPATED, INJECTED, meaning
-from sim.effects import cost, does
+from sim.effects import cost, does, title
 
 NOTHING = 1e-12
 """Energy [J] that rounding alone makes."""
@@ -41,6 +41,9 @@ COLUMNS = {
 IDLE = ("off", "skipped")
 """How what a step says of an effect begins that did nothing."""
 
+BAR = 36.0
+"""Length of the bar of an effect that takes the whole step [px]."""
+
 SLIGHT = 1e-9
 """The same as a share of the largest energy beside it."""
 
@@ -56,10 +59,11 @@ def caption(text: str) -> str:
     return f'<div class="muslin dim" style="padding-top:.5em">{escape(text)}</div>'
 
 
-def color_key(names: Sequence[str]) -> str:
-    """Which colour is which variant; nothing where there is one."""
+def color_key(names: Sequence[str], setting: str = "") -> str:
+    """Which colour is which variant, by the values of a setting; nothing where there is one."""
     parts = (f"<span>{style.chip(VARIANTS[i])}{escape(name)}</span>" for i, name in enumerate(names))
-    return f'<div class="key">{"".join(parts)}</div>' if len(names) > 1 else ""
+    head = f"<span>{escape(setting)}</span>" if setting else ""
+    return f'<div class="key">{head}{"".join(parts)}</div>' if len(names) > 1 else ""
 
 
 def number(value: float | None, digits: int = 1) -> str:
@@ -78,8 +82,8 @@ def variant_table(setting: str, names: Sequence[str], meters: Sequence[Meter]) -
             trouble_text(meter.inside),
             OFF if meter.is_off("crossings") else trouble_text(meter.crossings),
         ]
-        title = f"<td>{style.chip(VARIANTS[i])}{escape(name)}</td>"
-        rows.append(f"<tr>{title}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
+        first = f"<td>{style.chip(VARIANTS[i])}{escape(name)}</td>"
+        rows.append(f"<tr>{first}{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
         if trouble := meter.latest.refused or meter.latest.note:
             rows.append(f'<tr><td colspan="6" class="bad">{escape(trouble)}</td></tr>')
         if wrong := what_is_wrong(meter.latest.settings):
@@ -255,12 +259,12 @@ def effect_row(name: str, word: str, report: Any, beside: ReadOut | None = None)
     share = share_text(took, total)
     part = escape(share)
     if took.ms and total > 0.0:
-        wide = min(100.0 * took.ms / total, 100.0) * (not took.most)
+        wide = BAR * min(took.ms / total, 1.0) * (not took.most)
         looks = f"border-left:{wide:.1f}px solid currentColor;height:.5em;display:inline-block"
-        part = f'<div style="{looks}"></div> {part}<br>{"&lt; " * took.most}{took.ms:.2g} ms'
+        part = f'<div style="{looks}"></div> {part}<br>{"&lt; " * took.most}{written(took.ms, 2)} ms'
     hint = took.why if took.ms is None else f"{share} of the step: {took.why}"
-    title, words = escape(name.replace("_", " ")), escape(word.replace("_", " "))
+    called, words = escape(title(name)), escape(word.replace("_", " "))
     return (
-        f'<tr class="{look}" title="{escape(does(name))}"><td>{title}</td>'
+        f'<tr class="{look}" title="{escape(does(name))}"><td>{called}</td>'
         f'<td title="{escape(hint)}">{part}</td><td>{words}</td></tr>'
     )

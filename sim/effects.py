@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import msgspec
 
 from sim.refusal import nearest, shown
-from sim.settings import READ_OUTS, Settings
+from sim.settings import FIELDS, READ_OUTS, Settings
 
 if TYPE_CHECKING:
     from sim.model import Model
@@ -178,6 +178,12 @@ def find_effect(name: str) -> Effect:
     if name not in EFFECTS:
         raise ValueError(_no_effect(name, EFFECTS))
     return EFFECTS[name]
+
+
+def title(name: str) -> str:
+    """An effect's name as people read it: that of the switch that is its own, where there is one."""
+    own = name in EFFECTS and EFFECTS[name].off == {name: "off"}
+    return FIELDS[name].label if own else name.replace("_", " ")
 
 
 def does(name: str) -> str:

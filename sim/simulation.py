@@ -553,7 +553,7 @@ def beyond_bounds(positions: np.ndarray, velocities: np.ndarray) -> str:
         wild = ~(size < limit)  # also where it is no number
         if wild.any():
             vertex = int(np.argmax(wild))
-            bound = f", beyond {limit:g}" if np.isfinite(limit) else ", which is not finite"
+            bound = f", beyond {limit:g} {unit}" if np.isfinite(limit) else ", which is not finite"
             return f"{name} of vertex {vertex} is {size[vertex]:.3g} {unit}{bound}"
     return ""
 

@@ -95,6 +95,6 @@ def test_the_quantity_that_is_beyond_all_bounds_is_named_with_its_vertex():
     calm, wild = np.zeros((3, 3)), np.zeros((3, 3))
     assert beyond_bounds(calm, calm) == ""
     wild[1, 2] = -2e7
-    assert beyond_bounds(calm, wild) == "velocity of vertex 1 is 2e+07 m/s, beyond 1e+06"
+    assert beyond_bounds(calm, wild) == "velocity of vertex 1 is 2e+07 m/s, beyond 1e+06 m/s"
     wild[0, 0] = np.nan
     assert beyond_bounds(wild, calm) == "position of vertex 0 is nan m, which is not finite"

@@ -152,7 +152,7 @@ def test_a_step_that_blows_up_is_refused_and_leaves_the_state(monkeypatch):
     with pytest.raises(sim.StepError) as error:
         world.step()
     assert error.value.phase == "solve"
-    assert error.value.reason == "velocity of vertex 0 is nan m/s, beyond 1e+06"
+    assert error.value.reason == "velocity of vertex 0 is nan m/s, beyond 1e+06 m/s"
     assert error.value.setting in str(error.value)
     assert (bits(world), world.time) == (before, time)
     assert all(np.array_equal(memory[k], v) for k, v in world.model.memory().items())

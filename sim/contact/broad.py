@@ -49,8 +49,9 @@ class CandidateError(MemoryError):
 
     def __init__(self, count: int, most: int) -> None:
         super().__init__(
-            f"too much of the cloth comes near itself or mesh obstacles in one step ({count:,} pairs, and at "
-            f"most {most:,} are looked at); a shorter dt, less thickness or a coarser mesh make them fewer"
+            f"too much of the cloth comes near itself or mesh obstacles in one step ({count:,} pairs, and "
+            f"at most {most:,} are looked at); a shorter time step, less thickness or a coarser mesh "
+            "make them fewer"
         )
 
 

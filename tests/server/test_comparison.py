@@ -76,6 +76,12 @@ def test_names_carry_the_symbol_of_what_differs(comparison):
     assert comparison.compared_by("stretch").with_count(3).name(0) == "50 N"
 
 
+def test_names_that_mean_nothing_alone_carry_what_differs(comparison):
+    switched = comparison.compared_by("self_collision")
+    assert [switched.name(i) for i in range(2)] == ["self-collision auto", "self-collision off"]
+    assert comparison.compared_by("contact").name(0) == comparison.shared.contact
+
+
 def test_friction_is_idle_only_where_no_variant_looks_for_contacts():
     none, some = Settings(contact="none"), Settings(contact="penalty")
     assert why_idle("friction", [none, some]) == ""

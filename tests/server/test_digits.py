@@ -8,6 +8,7 @@ from server.tables import sums_table
 
 def test_numbers_are_short_and_without_needless_exponents():
     assert [number_text(v) for v in (1e4, 50.0, 0.2, 1e-4, 1e-6)] == ["10000", "50", "0.2", "0.0001", "1e-06"]
+    assert [number_text(v, 2) for v in (99.0, 100.0, 412.0, 1e5)] == ["99", "100", "412", "100000"]
     assert [float(number_text(v)) for v in (1e7, 123456.0)] == [1e7, 123456.0]
 
 

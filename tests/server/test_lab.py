@@ -103,7 +103,7 @@ def test_shared_setting_reaches_every_variant_and_they_go_on(lab, client):
 def test_compared_setting_reaches_its_own_variant_only(lab, client):
     client.set(client.find("● left"), "none")
     wait_until(lambda: [lane._world.settings.contact for lane in lab._bench.lanes] == ["none", "impulse"])
-    assert lab.comparison.name(0) == "none"
+    assert lab.comparison.name(0) == "collision method none"
 
 
 def test_comparing_by_another_setting_gives_each_variant_its_own_control(lab, client):

@@ -13,9 +13,12 @@ import sim
 from server.labels import label, wrong_on_purpose
 from server.lane import Frame
 from server.meter import Meter
-from server.tables import effects_table, sums_table, variant_table
+from server.prober import Reading
+from server.stage import ALARM, LABEL, MANY
+from server.tables import BAR, effects_table, sums_table, variant_table
 from sim import Settings
 from sim.effects import EFFECTS, TOLD_BESIDES
+from sim.probe import LocalError
 from sim.springs import BENDING
 
 
@@ -24,6 +27,9 @@ def meter(**frame):
     meter.add(Frame(**frame))
     return meter
 
+
+VIEW, CHARACTER = 672.0, 5.4
+"""Width between the docks on a 1280 x 720 screen, and of a character of a label of size 1 [CSS px]."""
 
 BOOKED = ("injected", "dissipated")
 
@@ -79,7 +85,7 @@ def test_what_did_nothing_is_dim_and_each_effect_says_what_it_does():
     assert re.findall(r'<tr class="(.*?)" title="(.*?)"><td>(.*?)</td>', table) == [
         ("", EFFECTS["gravity"].changes, "gravity"),
         ("dim", EFFECTS["wind"].changes, "wind"),
-        ("dim", EFFECTS["cloth_collision"].changes, "cloth collision"),
+        ("dim", EFFECTS["cloth_collision"].changes, "cloth–cloth collision"),
     ]
 
 
@@ -113,16 +119,16 @@ def test_each_effect_has_its_part_of_the_step():
         "<" not in cell.replace("<div", "").replace("</div", "").replace("<br", "") for *_, cell in rows
     )
     plain = "without what it adds to the work of the solver"
-    assert found["self collision"][0] == f"25 % of the step: {plain}"
-    assert "border-left:25.0px" in found["self collision"][1]
-    assert found["self collision"][1].endswith("25 %<br>2.5 ms")
+    assert found["self-collision"][0] == f"25 % of the step: {plain}"
+    assert f"border-left:{0.25 * BAR:.1f}px" in found["self-collision"][1]
+    assert found["self-collision"][1].endswith("25 %<br>2.5 ms")
     assert found["gravity"][1].endswith("< 0.1 %<br>0.002 ms")
     assert found["damping"][0] == "< 3.1 % of the step: it is computed along with the forces of springs"
     assert found["damping"][1].endswith("< 3.1 %<br>< 0.31 ms")
     assert "border-left:0.0px" in found["damping"][1]
     assert found["wind"] == ("0 of the step: nothing of it is computed", "0")
     assert found["friction"] == ("in the figure of contact, which has it of one piece", "in contact")
-    assert "border-left:40.0px" in found["integrator"][1]
+    assert f"border-left:{0.4 * BAR:.1f}px" in found["integrator"][1]
 
 
 def table_of(step):
@@ -149,6 +155,19 @@ def test_a_remark_stands_under_what_was_measured():
         "– crossings",
         "fails on purpose",
     ]
+
+
+@pytest.mark.parametrize(
+    "refused", ["", "step refused: the load of vertex 3 is too heavy for what carries it"]
+)
+def test_lines_of_a_label_have_room_beside_those_of_three_other_cloths(refused):
+    step = report({"contact": "ran: 3 contacts; may tunnel: moved 90 mm, thickness 5 mm"})
+    one = meter(report=step, steps=9, ms={"total": 485.5}, crossings=12, time=61.2, refused=refused).read()
+    one.reading = Reading(LocalError(4.1e-6, 1e-9, 0.1, 1.0, 0), time=11.9)
+    text, alarm = label("modified beside a long name", one, remark="fails on purpose, as is to be seen")
+    room = VIEW / 4 / MANY / (ALARM if alarm else LABEL) / CHARACTER
+    assert max(map(len, text.split("\n"))) <= room
+    assert alarm or "485.5 ms · 0.00041 %\n% as of 11.9 s\n" in text
 
 
 def test_sizes_of_both_momenta_stand_under_the_energies():

@@ -26,6 +26,9 @@ def test_the_key_brings_one_page_into_the_mode_and_out_again_and_no_other(lab, c
     wait_until(lambda: len(lab._page.server.get_clients()) == 2)
     client.press("P")
     wait_until(lambda: pieces(client) and "tradeoff" in pieces(client)[0])
+    chart = pieces(client)[0]
+    assert "local error of a frame against its cost" in chart
+    assert "<span>collision method</span>" in chart
     wait_until(lambda: list(label_sizes(client).values()) == [pytest.approx(ENLARGED * LABEL)] * 2)
     client.press("P")
     wait_until(lambda: not pieces(client))

@@ -60,7 +60,7 @@ def test_a_stopped_variant_says_its_quantity_and_the_likeliest_setting_in_the_do
     stopped, client
 ):
     assert "load of vertex 3 is too heavy" in said(client)
-    assert "Likeliest: <b>density 200 kg/m²</b>" in said(client)
+    assert "too heavy.</b> Likeliest: <b>density 200 kg/m²</b>." in said(client)
     texts = [
         m["updates"]["text"].replace("\n", " ") for m in client.messages if "text" in m.get("updates", {})
     ]

@@ -49,6 +49,21 @@ def test_a_mesh_is_drawn_as_it_is_stands_as_it_is_turned_and_is_seen_along_its_p
     assert corners.max(axis=0) == pytest.approx(np.array([4.0, 3.0, 0.5]), abs=1e-12)
 
 
+def test_what_turns_is_seen_half_way():
+    turning = [{"time": 0.0}, {"time": 1.0, "rotation": [0.0, -np.pi, 0.0]}]
+    arm = {
+        "kind": "capsule",
+        "start": [0.0, 0.0, 0.0],
+        "end": [2.0, 0.0, 0.0],
+        "radius": 0.1,
+        "path": turning,
+    }
+    (part,) = load_scene({**SCENE, "obstacle": [arm]}).obstacle
+    corners = obstacle_corners(part)
+    assert corners.min(axis=0) == pytest.approx(np.array([-0.1, -0.1, -1.1]), abs=1e-12)
+    assert corners.max(axis=0) == pytest.approx(np.array([2.1, 0.1, 1.1]), abs=1e-12)
+
+
 def test_a_mesh_moves_on_the_stage_as_the_simulation_has_it():
     """The drawn node takes the frame's pose, as that of every other obstacle does."""
     scene = load_scene({**SCENE, "obstacle": [WEDGE]})

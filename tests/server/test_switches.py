@@ -3,8 +3,8 @@
 import pytest
 from fake_world import FakeWorld, wait_until
 
-from server.switches import setting_of, title
-from sim.effects import EFFECTS, state
+from server.switches import setting_of
+from sim.effects import EFFECTS, state, title
 
 
 def switch(lab, name, choice):

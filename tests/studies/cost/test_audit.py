@@ -7,6 +7,7 @@ import pytest
 
 import sim
 from server import pages
+from server.audit import cost_text
 from server.cli import main
 from sim.effects import EFFECTS
 from sim.settings import READ_OUTS
@@ -145,6 +146,18 @@ def test_an_audit_of_the_same_gives_the_same_but_for_times(audited):
     assert [(e.influence, e.errors, e.verdict) for e in one.effects] == [
         (e.influence, e.errors, e.verdict) for e in other.effects
     ]
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.105, "for 10.5 % of a step"),
+        (-0.018, "for −1.8 % of a step"),
+        (-56.505, "57.5 × the time without it"),
+    ],
+)
+def test_what_makes_steps_slower_by_its_absence_has_no_cost_in_percent(share, words):
+    assert cost_text(share) == words
 
 
 def test_the_page_has_the_block_to_paste_the_plot_and_a_row_for_each_effect(audited):

@@ -121,6 +121,13 @@ def test_the_page_begins_with_what_to_do_and_escapes_what_was_typed(written, rep
     assert "[settings]" in text
 
 
+@pytest.mark.parametrize("study", REPORTS)
+def test_commands_in_notes_are_set_as_such(written, study):
+    page, _ = written[study]
+    assert "<code>muslin cost &lt;swing&gt;</code>" in page
+    assert "`" not in page.partition("What this means")[2]
+
+
 def test_a_terminal_ends_with_what_to_do_and_the_block_to_paste(reports):
     for study in ("cost", "audit"):
         block = pages.result(reports[study]).notes[-1]
