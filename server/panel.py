@@ -11,6 +11,7 @@ import viser
 from server import style
 from server.comparison import Comparison, comparable
 from server.controls import Control, make_control
+from server.export import as_html
 from server.guard import Guard
 from server.palette import MAX_VARIANTS, VARIANTS
 from server.relevance import why_idle
@@ -57,6 +58,7 @@ class Panel:
         self._gui, self._guard, self._lab = server.gui, guard, lab
         self._shared: dict[str, Control] = {}
         self._own: dict[tuple[str, int], Control] = {}
+        self._open: Scene | None = None
         self._by_label = {NOTHING: ""} | {f.label: f.name for f in comparable()}
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(style.LEFT_WIDTH)
@@ -117,7 +119,7 @@ class Panel:
         {PLAY: self._lab.play, PAUSE: self._lab.pause, STEP: self._lab.step, RESET: self._lab.reset}[option]()
 
     def _add_tabs(self) -> None:
-        """A tab for each group of settings, in the order of their definition; one for effects, one to look.
+        """A tab for each group of settings, in the order of their definition; for effects, view and export.
 
         Read-outs have no other control than their switch among the effects.
         """
@@ -140,6 +142,8 @@ class Panel:
                     self._lab.post(self._lab.show_lines, lines.value)
 
             self._keys = self._gui.add_html("")
+        with tabs.add_tab("Export"):
+            self._export = self._gui.add_html("")
 
         self._lines = lines
 
@@ -190,6 +194,7 @@ class Panel:
 
     def show_scene(self, scene: Scene) -> None:
         """Say which scene is open and what to look for in it."""
+        self._open = scene
         self._scene.value = scene.name
         self._switches.offer(scene.obstacle_labels)
         lesson = scene.lesson
@@ -217,7 +222,7 @@ class Panel:
             self._style.content = content
 
     def show_relevance(self, comparison: Comparison) -> None:
-        """Grey what cannot act with these settings, and nothing else.
+        """Grey what cannot act with these settings, say how to have them elsewhere, and nothing else.
 
         Values are left alone: while a slider is dragged, the page is ahead of the lab.
         """
@@ -225,6 +230,8 @@ class Panel:
         for name, control in self._shared.items():
             control.enable(why_idle(name, variants))
         self._switches.show(variants)
+        if self._open is not None and self._export.content != (text := as_html(self._open, comparison)):
+            self._export.content = text
 
     def _show_own(self, comparison: Comparison) -> None:
         """One control per variant for the compared setting: made when needed, then hidden, never removed."""
