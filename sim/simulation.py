@@ -497,7 +497,7 @@ class Simulation:
             from sim.strain import make_limit, shorten  # which a step without a limit does without
 
             if self._edges is None:
-                self._edges = make_limit(self.mesh.edges, self.mesh.rest_vertices)
+                self._edges = make_limit(self.mesh.edges, self.mesh.rest_vertices, self.mesh.axis)
             about = self._edges, s.strain_limit, self.model.inverse_masses
             before = end.velocities.copy()
             found = shorten(*about, s.dt, end.positions, end.velocities)
