@@ -9,6 +9,7 @@ import numpy as np
 
 from sim.clearance import clearance_warnings, crossing_warnings
 from sim.mesh import Mesh, build_mesh
+from sim.placement import pose
 from sim.refusal import counted, listed
 from sim.scene import Scene
 from sim.settings import Settings
@@ -16,6 +17,8 @@ from sim.settings import Settings
 SLIVER = np.radians(1.0)
 """Triangles with an angle below this [rad] are counted: springs on them are stiff, and their hinges jumpy."""
 
+TURN = 1e-3
+"""Angle [rad] of a jump that is rounding: four digits of a whole turn leave a fifth of it."""
 
 MEGABYTES, KILOBYTES_OF_VERTEX = 200.0, 12.0
 """Memory that a process with kernels takes, and what each vertex adds where cloth drapes, as measured for
@@ -57,12 +60,12 @@ def _path_warnings(scene: Scene) -> list[str]:
     for i, obstacle in enumerate(scene.obstacle):
         if not (obstacle.repeat and obstacle.path):
             continue
-        first, last = obstacle.path[0], obstacle.path[-1]
-        here = obstacle.reference
-        if not np.allclose(first.position or here, last.position or here, rtol=0.0, atol=1e-6):
-            warnings.append(
-                f"obstacle[{i}] jumps as its path is repeated: the last key is not where the first is"
-            )
+        (start, begun), (end, ended) = (pose(obstacle, obstacle.path[k].time) for k in (0, -1))
+        jumps = f"obstacle[{i}] jumps as its path is repeated: the last key is not"
+        if not np.allclose(start, end, rtol=0.0, atol=1e-6):
+            warnings.append(f"{jumps} where the first is")
+        if not np.allclose(begun, ended, rtol=0.0, atol=TURN):
+            warnings.append(f"{jumps} turned as the first is")
     return warnings
 
 

@@ -380,11 +380,11 @@ class Simulation:
             if not ramp.over:
                 self._go_over(ramp.after(self.settings.dt))
             with processor_threads(self.settings.threads):
-                solution, touch = self._advance(report)
+                solution, touch, smooth = self._advance(report)
                 while self.sleeping.any() and self._rest.rouse(self._rest.touched(self.contact.joins)):
                     self.model.hold(self.sleeping)
                     report = StepReport(ms=report.ms, costs=report.costs, costs_below=report.costs_below)
-                    solution, touch = self._advance(report)
+                    solution, touch, smooth = self._advance(report)
         except StepError:
             if ramp is not self._ramp:
                 self._go_over(ramp)
@@ -396,7 +396,7 @@ class Simulation:
         report.moved = self._longest_way(solution.positions)
         if self.model.wind is not None:
             report.wind_work = self.settings.dt * self.model.wind.power(solution.velocities)
-        self._accept(solution, touch, report)
+        self._accept(solution, touch, smooth, report)
         with report.phase("report"):
             if self.scene.obstacle and self.settings.obstacles != "off":
                 depths = self.contact.depths(self._time, self._positions, self.settings)
@@ -449,8 +449,14 @@ class Simulation:
         report.close(begin)
         return report
 
-    def _advance(self, report: StepReport) -> tuple[Solution, Touch]:
-        """Where the state goes in one step, and how hard it touches what."""
+    def _advance(self, report: StepReport) -> tuple[Solution, Touch, bool]:
+        """Where the state goes in one step, how hard it touches what, and whether nothing broke its way.
+
+        What the integrator does not know of, as impulses and strain limits, breaks it, and a look back across
+        that would throw cloth off what it ran into.
+        """
+        name = self.settings.integrator
+        looks_back, ended = INTEGRATORS[name].looks_back, [np.zeros(0)]
 
         def solve(
             springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray, guess: np.ndarray | None
@@ -461,6 +467,8 @@ class Simulation:
                 solution, report.integrator = take_step(self.model, springs, *way, tally, guess)
             except SolveError as error:
                 raise StepError(str(error), "solve", suspect(self.settings)) from None
+            if looks_back:
+                ended[0] = np.concatenate([solution.positions, solution.velocities])
             self._refuse_beyond_bounds(solution, "solve")  # before it is looked for what all of it meets
             if settings.strain_limit > 0.0:
                 return self._limited(settings, solution, report)
@@ -479,7 +487,9 @@ class Simulation:
         report.newton, report.converged = solution.newton, solution.converged
         report.residual = solution.residual
         report.solver, report.stopped = solution.solver, solution.stopped
-        return solution, touch
+        smooth = looks_back and report.integrator == name and report.substeps == 1
+        state = solution.positions, solution.velocities
+        return solution, touch, smooth and np.array_equal(ended[0], np.concatenate(state))
 
     def _limited(self, s: Settings, end: Solution, report: StepReport) -> Solution:
         """The `end` of a step, where no edge is longer than it may be."""
@@ -487,7 +497,7 @@ class Simulation:
             from sim.strain import make_limit, shorten  # which a step without a limit does without
 
             if self._edges is None:
-                self._edges = make_limit(self.mesh.edges, self.mesh.rest_vertices)
+                self._edges = make_limit(self.mesh.edges, self.mesh.rest_vertices, self.mesh.axis)
             about = self._edges, s.strain_limit, self.model.inverse_masses
             before = end.velocities.copy()
             found = shorten(*about, s.dt, end.positions, end.velocities)
@@ -517,10 +527,8 @@ class Simulation:
         meshes = np.linalg.norm(np.subtract(*corners), axis=1)
         return float(np.concatenate([ways, rigid[felt.which], meshes]).max())
 
-    def _accept(self, solution: Solution, touch: Touch, report: StepReport) -> None:
-        """Make the end of a step the present state."""
-        name = self.settings.integrator
-        smooth = INTEGRATORS[name].looks_back and report.integrator == name
+    def _accept(self, solution: Solution, touch: Touch, smooth: bool, report: StepReport) -> None:
+        """Make the end of a step the present state; a `smooth` one may be looked back across."""
         self._previous = (self._positions, self._velocities) if smooth else None
         self._positions, self._velocities = solution.positions, solution.velocities
         self.contact.touched = touch

@@ -47,7 +47,9 @@ class Limit(NamedTuple):
         edges: (e, 2) vertices.
         rest: (e,) rest lengths [m].
         valence: The most edges that a vertex has.
-        direction: (e, 3) along them, of length 1/√(1/m_i + 1/m_j) [√kg], zero where both ends are fixed.
+        free: (3,) one for each coordinate that may change, zero for that which the scene keeps.
+        direction: (e, 3) along them, of length 1/√(1/m_i + 1/m_j) [√kg], zero where both ends are fixed; of
+            that what is `free`.
         excess: (e,) over the limit, times that [m √kg].
         pull: (e,) λ ≥ 0 over that [m √kg].
         work: (3, e) gradient, direction of search and its product with A.
@@ -57,6 +59,7 @@ class Limit(NamedTuple):
     edges: np.ndarray
     rest: np.ndarray
     valence: int
+    free: np.ndarray
     direction: np.ndarray
     excess: np.ndarray
     pull: np.ndarray
@@ -64,15 +67,15 @@ class Limit(NamedTuple):
     moved: np.ndarray
 
 
-def make_limit(edges: np.ndarray, rest_vertices: np.ndarray) -> Limit:
-    """The edges (e, 2) of a mesh with `rest_vertices` (n, 3) [m]."""
+def make_limit(edges: np.ndarray, rest_vertices: np.ndarray, axis: int | None = None) -> Limit:
+    """The edges (e, 2) of a mesh with `rest_vertices` (n, 3) [m], which do not move along `axis`."""
     e, ends = len(edges), rest_vertices[edges]
     rest, valence = (
         np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1),
         int(np.bincount(edges.ravel()).max(initial=1)),
     )
     room = np.zeros((e, 3)), np.zeros(e), np.zeros(e), np.zeros((3, e)), np.zeros_like(rest_vertices)
-    return Limit(edges, rest, valence, *room)
+    return Limit(edges, rest, valence, np.array([float(k != axis) for k in range(3)]), *room)
 
 
 @kernel
@@ -111,7 +114,9 @@ def _exceed(limit, strain, inverse_masses, positions):
         inverse, d = inverse_masses[i] + inverse_masses[j], sub(row(positions, j), row(positions, i))
         length = norm(d)
         size = 1.0 / np.sqrt(inverse) if inverse > 0.0 else 0.0
-        put(limit.direction, e, scale(size / length if length > 0.0 else 0.0, d))
+        along = size / length if length > 0.0 else 0.0
+        for r in range(3):
+            limit.direction[e, r] = limit.free[r] * along * (positions[j, r] - positions[i, r])
         limit.excess[e] = size * (length - (1.0 + strain) * limit.rest[e])
         if inverse > 0.0:
             worst = max(worst, length / limit.rest[e] - 1.0)

@@ -152,6 +152,18 @@ def test_check_tells_of_a_repeated_path_that_jumps():
     ]
 
 
+@pytest.mark.parametrize(
+    ("turns", "told"), [(0.0, 0), (1.0, 0), (-1.0, 0), (3.0, 0), (6.283 / (2 * np.pi), 0), (0.5, 1), (1.1, 1)]
+)
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0.6, 0, 0.8)])
+def test_check_tells_of_a_repeated_path_that_turns_by_other_than_whole_turns(turns, told, axis):
+    ways = [(0.3 + 2 * np.pi * turns * t) * np.array(axis) for t in (0.0, 1.0)]
+    keys = [{"time": t, "rotation": way.tolist()} for t, way in enumerate(ways)]
+    ball = {"kind": "sphere", "center": [0, 0, -2], "radius": 0.1, "path": keys, "repeat": True}
+    jumps = "obstacle[0] jumps as its path is repeated: the last key is not turned as the first is"
+    assert check_scene(load_scene({"cloth": grid(), "obstacle": [ball]}))[1] == told * [jumps]
+
+
 # Meshes
 
 

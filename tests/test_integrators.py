@@ -16,6 +16,7 @@ import sim
 from sim.damping import apparent
 from sim.integrators import INTEGRATORS
 from sim.ringdown import fit_ring_down
+from sim.stress.scenes import one_pair
 from tests.worlds import ball, chain, grid, irregular, scene
 
 FOLDER = Path(__file__).parent / "vectors"
@@ -378,6 +379,31 @@ def test_bdf2_starts_anew_after_a_step_that_felt_a_contact():
     restarted, after = state(world), world.snapshot()
     assert restarted == after_a_step(world, before, integrator="sdirk2")
     assert after_a_step(world, after) != after_a_step(world, after, integrator="sdirk2")
+
+
+def stopped(by):
+    """What flies at 3 m/s, or at 100, into what the integrator knows nothing of, just after it did."""
+    if by == "impulse":
+        world = one_pair("edge-edge", 100.0, 0.0)
+        world.update(integrator="bdf2")
+    else:
+        how = {"contact": "postprocess", "strain_limit": 0.1 if by == "limit" else 0.0, "stretch": 1e-2}
+        how |= {"integrator": "bdf2", "dt": 0.01, "gravity": [0, 0, 0]}
+        wall = {"kind": "plane", "point": [1.05, 0, 0], "normal": [-1, 0, 0]}
+        world = sim.Simulation(spring(pins=(0,), **how) | {"obstacle": [wall] if by == "projection" else []})
+        world.place(world.positions, [[0, 0, 0], [3, 0, 0]])
+    speed = np.abs(world.velocities).max()
+    while np.abs(world.velocities).max() > 0.9 * speed:
+        assert world.step().integrator == "bdf2"
+    return world
+
+
+@pytest.mark.parametrize("by", ["impulse", "projection", "limit"])
+def test_bdf2_does_not_look_back_across_what_stopped_it(by):
+    """It would be thrown back, as if the speed that it had lost went on changing."""
+    world = stopped(by)
+    after = world.snapshot()
+    assert after_a_step(world, after) == after_a_step(world, after, integrator="sdirk2")
 
 
 @pytest.mark.parametrize("after", [1, 2, 7])

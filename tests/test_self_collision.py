@@ -108,3 +108,15 @@ def test_putting_right_afterwards_keeps_a_sheet_out_of_the_ball(detection):
     reports = [world.step() for _ in range(60)]
     assert max(r.contacts for r in reports) > 0
     assert all(r.penetrations == 0 for r in reports)
+
+
+@pytest.mark.parametrize("detection", ["static", "continuous"])
+def test_what_sheets_push_each_other_into_is_put_right_as_well(detection):
+    """Three of them hit the ball at 5 m/s, where the upper push the lowest; the ball has the last word."""
+    sheets = [grid((0.4, 0.4), (6, 6), position=[0.013 * k, 0.007 * k, 0.03 + 0.012 * k]) for k in range(3)]
+    how = {"contact": "postprocess", "detection": detection, "self_collision": "auto", "dt": 1 / 30}
+    world = sim.Simulation(scene(sheets, ball((0, 0, -0.2), 0.2), gravity=EARTH, **how))
+    speed = 5.0 + 0.5 * np.random.default_rng(0).standard_normal(len(world.positions))
+    world.place(world.positions, np.outer(speed, [0, 0, -1]))
+    for _ in range(15):
+        assert world.step().deepest == 0.0

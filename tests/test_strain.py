@@ -34,6 +34,21 @@ def test_a_soft_strip_that_hangs_keeps_its_limit_at_every_step(limit, dt):
     assert most > 50
 
 
+def test_a_strip_in_a_plane_keeps_its_limit_there():
+    """One side of it hangs from the other by slanted edges, which pull, but not out of the plane."""
+    x = np.array([[0.05 * k, y, 0.0] for y in (0.0, 0.04) for k in range(12)])
+    triangles = [t for k in range(11) for t in ([k, k + 1, 12 + k], [k + 1, 13 + k, 12 + k])]
+    cloth = {"vertices": x.tolist(), "triangles": triangles, "pins": [0]}
+    weak = {"stretch": 0.01, "contact": "none", "gravity": EARTH, "strain_limit": 0.1}
+    world, most = sim.Simulation(scene(cloth, **weak) | {"plane": "xz"}), 0
+    for _ in range(30):
+        most = max(most, world.step().limited)
+        assert strains(world).max() <= 0.1 + MARK
+        np.testing.assert_array_equal(world.positions[:, 1], x[:, 1])
+        assert not world.velocities[:, 1].any()
+    assert most > 10
+
+
 def test_without_a_limit_it_is_far_longer():
     world = hanging(0.0)
     for _ in range(30):

@@ -23,7 +23,10 @@ from sim.contact.proximity import nearest, passing
 from sim.contact.surface import Surface, Tree
 
 MOST_CANDIDATES = 20_000_000
-"""Pairs beyond which a list is refused: they would take more than 500 MB."""
+"""Pairs beyond which a list is refused, whatever the surface: it would take 2 GB and more to make."""
+
+PLACE, ENTRY = 36, 61
+"""Bytes that a place for a pair takes while they are found, and that each one found takes after that."""
 
 FEW, MOST_PER_FACE = 200_000, 500
 """Pairs that any surface may have, and for each of its triangles; crumpled cloth has some fifteen of these.
@@ -45,13 +48,18 @@ WITHIN, BETWEEN = 1, 2
 
 
 class CandidateError(MemoryError):
-    """More pairs within reach than may be looked at in one step."""
+    """More pairs within reach than may be looked at in one step.
 
-    def __init__(self, count: int, most: int) -> None:
+    Attributes:
+        taken: What a list of them would take [bytes], 0 where they were on several.
+    """
+
+    def __init__(self, count: int, most: int, taken: int = 0) -> None:
+        self.taken = taken
+        pairs = f"at least {count:,} pairs, {1e-6 * taken:,.0f} MB" if taken else f"{count:,} pairs"
         super().__init__(
-            f"too much of the cloth comes near itself or mesh obstacles in one step ({count:,} pairs, and "
-            f"at most {most:,} are looked at); a shorter time step, less thickness or a coarser mesh "
-            "make them fewer"
+            f"too much of the cloth comes near itself or mesh obstacles in one step ({pairs}, and at most "
+            f"{most:,} are looked at); a shorter time step, less thickness or a coarser mesh make them fewer"
         )
 
 
@@ -170,9 +178,10 @@ class BroadPhase:
             most, total = int(counts.max()), int(counts.sum())
             if most <= self._room:
                 break
+            places = most + most // 4
             if total > self.most or most > self.most // LOPSIDED:
-                raise CandidateError(total, self.most)
-            self._room = most + most // 4
+                raise CandidateError(total, self.most, PLACE * CHUNKS * places + ENTRY * total)
+            self._room = places
         found = np.concatenate([pairs[chunk, :count] for chunk, count in enumerate(counts)])
         apart = np.concatenate([distance[chunk, :count] for chunk, count in enumerate(counts)])
         kind, pair, node = found[:, 0].astype(np.int8), found[:, 1:3].copy(), found[:, 3:].copy()

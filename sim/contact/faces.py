@@ -71,7 +71,7 @@ class Faces:
     def __init__(self, mesh: Mesh, free: np.ndarray, obstacles: Obstacles, first_key: int) -> None:
         faces = elements(mesh)
         movable = free[faces].any(axis=1)
-        self._free, self._movable = free, int(np.count_nonzero(movable))
+        self._free, self._axis, self._movable = free, mesh.axis, int(np.count_nonzero(movable))
         order = np.argsort(~movable, kind="stable")[: None if obstacles.moves.any() else self._movable]
         self._faces = np.ascontiguousarray(faces[order], dtype=np.int32)
         self._first_key, self._room, self._shapes = first_key, 64, len(obstacles.parts)
@@ -103,9 +103,12 @@ class Faces:
         return np.where(one, contacts.key % max(self._shapes, 1), of_face)
 
     def along(self, o: int, which: np.ndarray) -> np.ndarray:
-        """(k, 3) where the vertices `which` end that go along with obstacle o [m]."""
-        after = self._step[2]
-        return self._seen_from(o)[which] @ after.rotation[o].T + after.position[o]
+        """(k, 3) where the vertices `which` end that go along with obstacle o, as far as they may [m]."""
+        x, _, after, *_ = self._step
+        places = self._seen_from(o)[which] @ after.rotation[o].T + after.position[o]
+        if self._axis is not None:
+            places[:, self._axis] = x[which, self._axis]
+        return places
 
     def _seen_from(self, o: int) -> np.ndarray:
         """(n, 3) where the vertices start, in the frame of obstacle o [m]."""

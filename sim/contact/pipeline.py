@@ -274,18 +274,26 @@ class Pipeline:
             return solution, UNTOUCHED
         with report.phase("detect"):
             static = replace(way, before=way.after, x=x)
-            hits = NO_CONTACTS
+            seen, hits = static, NO_CONTACTS
             if s.detection == "continuous":
+                seen = way
                 look.at_start(way)
                 hits = look.on_the_way(way, x)
-            near = look.at_start(static)
-            touching = look.of_vertices(way if s.detection == "continuous" else static, x)
-            contacts = hits.and_also(near).and_also(touching)
-        report.contacts = len(contacts.key)
-        with report.phase("respond"):
-            inverse_masses = self._model.inverse_masses
-            way.part.project(contacts, s.friction, contacts.masses(inverse_masses), inverse_masses, x, v)
+            met = hits.and_also(look.at_start(static))
+            touching = look.of_vertices(seen, x)
+        self._put_right(way, met.and_also(touching), x, v)
+        report.contacts = len(met.key) + len(touching.key)
+        if len(met.key):  # which may have pushed vertices into obstacles that they did not touch
+            with report.phase("detect"):
+                touching = look.of_vertices(seen, x)
+            self._put_right(way, touching, x, v)
         return solution, UNTOUCHED
+
+    def _put_right(self, way: Way, contacts: Contacts, x: np.ndarray, v: np.ndarray) -> None:
+        """Take the contacts' overlaps out of `x` (n, 3) [m], and the speed at which they close out of `v`."""
+        masses = self._model.inverse_masses
+        with way.report.phase("respond"):
+            way.part.project(contacts, way.settings.friction, contacts.masses(masses), masses, x, v)
 
     def _response(self, settings: Settings) -> Response | None:
         """How cloth answers; forces that are not solved for must be soft enough for an explicit step."""

@@ -1,5 +1,7 @@
 """The broad phase against a twin that looks at every pair there is."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -287,6 +289,21 @@ def test_more_pairs_than_a_list_may_hold_are_refused(monkeypatch):
     monkeypatch.setattr(broad, "MOST_CANDIDATES", 1000)
     with pytest.raises(CandidateError, match="at most 1,000"):
         case.phase.candidates(case.start, case.end, 10.0, 1.0)
+
+
+def test_a_refusal_tells_the_memory_that_the_list_would_take_at_least(monkeypatch):
+    about = (case := Case(soup, 11, 0.0)).start, case.end, 10.0, 1.0
+    found = case.phase.candidates(*about)
+    tracemalloc.start()
+    case.phase.candidates(*about)
+    taken = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    monkeypatch.setattr(broad, "MOST_CANDIDATES", len(found.kind) - 1)
+    monkeypatch.setattr(broad, "LOPSIDED", 1)  # so that all are counted
+    with pytest.raises(CandidateError) as refused:
+        Case(soup, 11, 0.0).phase.candidates(*about)
+    assert refused.value.taken == pytest.approx(taken, rel=0.1)
+    assert f"at least {len(found.kind):,} pairs, {1e-6 * refused.value.taken:,.0f} MB" in str(refused.value)
 
 
 def test_a_step_with_too_many_pairs_is_refused_in_words_that_say_what_helps(monkeypatch):

@@ -121,7 +121,7 @@ def test_what_can_move_of_a_triangle_is_not_run_over_where_its_pinned_edge_is_pa
 
 
 def check_the_last_resort_alone(made, monkeypatch):
-    """Without rounds of impulses, and in whole steps."""
+    """Without rounds of impulses, and in whole steps; returns the world at the end."""
     monkeypatch.setattr(pipeline, "MOST_ROUNDS", 0)
     monkeypatch.setattr(pipeline, "MOST_HALVINGS", 0)
     world, reports = sim.Simulation(made), []
@@ -130,6 +130,7 @@ def check_the_last_resort_alone(made, monkeypatch):
         assert not touched(world)
     assert max(report.held_back for report in reports) > 0
     assert max(report.overrun for report in reports) == 0
+    return world
 
 
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "box", "cone", "torus"])
@@ -145,6 +146,16 @@ def test_the_last_resort_alone_takes_cloth_along_before_a_plane(monkeypatch):
     sheets = [grid((0.3, 0.3), (5, 5), position=[0.01 * k, 0.0, 0.02 * k]) for k in range(2)]
     plane = {"kind": "plane", "path": path, "motion": "linear"}
     check_the_last_resort_alone(scene(sheets, plane, friction=0.0, self_collision="auto"), monkeypatch)
+
+
+def test_the_last_resort_takes_cloth_along_within_its_plane(monkeypatch):
+    """A strip that may not move sideways, where what comes does."""
+    path = [{"time": 0.0, "position": [0.01, 0.02, -0.3]}, {"time": 0.1, "position": [0.0, 0.22, 0.7]}]
+    box = {"kind": "box", "center": [0, 0, 0], "size": [0.1, 0.8, 0.1], "path": path, "motion": "linear"}
+    made = scene(grid((0.56, 0.04), (15, 2)), box, friction=0.0, self_collision="auto")
+    world = check_the_last_resort_alone(made | {"plane": "xz"}, monkeypatch)
+    np.testing.assert_array_equal(world.positions[:, 1], world.mesh.vertices[:, 1])
+    assert not world.velocities[:, 1].any()
 
 
 def through_pins(kind):
