@@ -313,7 +313,7 @@ def test_a_step_with_too_many_pairs_is_refused_in_words_that_say_what_helps(monk
     scene = {"cloth": cloth, "obstacle": [ball], "settings": {"dt": 0.1, "self_collision": "on"}}
     world = sim.Simulation(scene)
     world.place(world.positions, np.random.default_rng(0).standard_normal(world.positions.shape))
-    with pytest.raises(sim.StepError, match=r"at most 1,000 .*dt, less thickness or a coarser mesh"):
+    with pytest.raises(sim.StepError, match=r"at most 1,000 .*time step, less thickness or a coarser mesh"):
         world.step()
 
 
