@@ -73,7 +73,7 @@ def test_a_quick_reading_is_marked_as_such_and_an_old_one_says_of_when_it_is():
     assert "In a pause it is measured better." in variant_table("", ["a"], [made])
     made.reading = Reading(LocalError(1e-3, 0.0, 1 / 60, 1.0), time=0.25)
     made.latest = replace(made.latest, time=0.25 + OLD + 0.1)
-    assert label("a", made)[0] == "a\n6.1 ms · 0.1 % at 0.2 s\n– crossings"
+    assert label("a", made)[0] == "a\n6.1 ms · 0.1 %\n% as of 0.2 s\n– crossings"
     assert re.search('class="dim" title="Of a frame from 0.25 s', variant_table("", ["a"], [made]))
     made.latest = replace(made.latest, time=0.25 + OLD - 0.1)
     assert label("a", made)[0] == "a\n6.1 ms · 0.1 %\n– crossings"
