@@ -456,11 +456,12 @@ class Simulation:
         that would throw cloth off what it ran into.
         """
         name = self.settings.integrator
-        looks_back, ended = INTEGRATORS[name].looks_back, [np.zeros(0)]
+        looks_back, ended = INTEGRATORS[name].looks_back, np.zeros(0)
 
         def solve(
             springs: GapSprings, settings: Settings, x: np.ndarray, v: np.ndarray, guess: np.ndarray | None
         ) -> Solution:
+            nonlocal ended
             way = settings, x, v, self._previous if settings is self.settings else None
             tally = Tally(self.model, springs, self._books.rows, report) if self._books is not None else None
             try:
@@ -468,7 +469,7 @@ class Simulation:
             except SolveError as error:
                 raise StepError(str(error), "solve", suspect(self.settings)) from None
             if looks_back:
-                ended[0] = np.concatenate([solution.positions, solution.velocities])
+                ended = np.concatenate([solution.positions, solution.velocities])
             self._refuse_beyond_bounds(solution, "solve")  # before it is looked for what all of it meets
             if settings.strain_limit > 0.0:
                 return self._limited(settings, solution, report)
@@ -489,7 +490,7 @@ class Simulation:
         report.solver, report.stopped = solution.solver, solution.stopped
         smooth = looks_back and report.integrator == name and report.substeps == 1
         state = solution.positions, solution.velocities
-        return solution, touch, smooth and np.array_equal(ended[0], np.concatenate(state))
+        return solution, touch, smooth and np.array_equal(ended, np.concatenate(state))
 
     def _limited(self, s: Settings, end: Solution, report: StepReport) -> Solution:
         """The `end` of a step, where no edge is longer than it may be."""

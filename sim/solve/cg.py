@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.compiled import CHUNKS, kernel, parallel_kernel, share
+from sim.compiled import CHUNKS, inner, kernel, parallel_kernel, share
 from sim.solve.coupling import coupled, move
 from sim.solve.preconditioner import highest, in_order, precondition
 
@@ -132,18 +132,24 @@ def _farthest(x, old, largest):
     return math.sqrt(highest(largest))
 
 
+@inner
+def _residual(matrix, coupling, free, b, x, ap, partial, r):
+    """Fill r = b − A x on free vertices, zero on fixed ones; r may be b, and ap becomes A x."""
+    multiply(matrix, coupling, free, x, ap, partial)
+    for i in range(len(r)):
+        for c in range(3):
+            r[i, c] = b[i, c] - ap[i, c] if free[i] else 0.0
+
+
 @kernel
 def rounding_error(matrix, coupling, preconditioner, work, b, x):
     """The estimated error of x at the worst vertex by the residual b − A x as it is, not as it was updated.
 
     The updated one goes on to fall where rounding has long stopped the other (Greenbaum 1997).
     """
-    multiply(matrix, coupling, preconditioner.local.free, x, work.ap, work.partial)
-    r = work.p
-    for i in range(len(r)):
-        for c in range(3):
-            r[i, c] = b[i, c] - work.ap[i, c] if preconditioner.local.free[i] else 0.0
-    _, residual = precondition(preconditioner, r, work.z, work.partial, work.largest)
+    r, partial = work.p, work.partial
+    _residual(matrix, coupling, preconditioner.local.free, b, x, work.ap, partial, r)
+    _, residual = precondition(preconditioner, r, work.z, partial, work.largest)
     return LEVERAGE * math.sqrt(residual)
 
 
@@ -167,10 +173,7 @@ def conjugate_gradients(matrix, coupling, preconditioner, work, r, x, shortcut, 
     """
     free, partial, largest = preconditioner.local.free, work.partial, work.largest
     z, p, ap, old = work.z, work.p, work.ap, work.old
-    multiply(matrix, coupling, free, x, ap, partial)
-    for i in range(len(r)):
-        for c in range(3):
-            r[i, c] = r[i, c] - ap[i, c] if free[i] else 0.0
+    _residual(matrix, coupling, free, r, x, ap, partial, r)
     curvature = multiply(matrix, coupling, free, shortcut, ap, partial)
     along = 0.0
     for i in range(len(r)):

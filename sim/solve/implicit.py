@@ -246,7 +246,8 @@ def _solve(model, loose, settings, forces, change, guess, shortcut, h, anew=True
 
 def _may_be_rounding(model: Model, step: np.ndarray, allowed: float) -> bool:
     """Whether the rounding of A `step` may be an error above what is `allowed` [m/s]: A is at least M."""
-    largest = float(np.abs(model.matrix.diagonal).max(initial=0.0) * np.abs(step).max(initial=0.0))
+    stiffest = model.matrix.diagonal.max(initial=0.0)  # no entry of a definite matrix is larger
+    largest = float(stiffest * np.abs(step).max(initial=0.0))
     lightest = float(model.masses.min(initial=np.inf, where=model.free))
     return bool(np.finfo(float).eps * largest > allowed * lightest)
 
