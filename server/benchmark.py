@@ -58,8 +58,7 @@ def run_scenes(scenes: Sequence[str], steps: int, cold: bool, **files: str | Non
     """The same for what effects cost whole scenes."""
     from sim.bench.scenes import WARM, measure_scenes
 
-    if not WARM + 2 <= steps <= 100_000:
-        raise ValueError(f"--steps: expected {WARM + 2} to 100,000, got {steps}")
+    bench.check_steps(steps, WARM + 2)
     words = ["--scenes", *scenes, "--steps", str(steps), *["--cold"] * cold]
     return _measured("scenes", words, lambda told: measure_scenes(scenes, steps, cold, told), **files)
 
@@ -69,9 +68,7 @@ def run_contact(sizes: Sequence[int], threads: Sequence[int] | None, steps: int,
     from sim.bench.contact import WARM, measure_contact
 
     threads = _threads() if threads is None else threads
-    bench.check(sizes, threads, steps, bench.SECONDS)
-    if steps < WARM + 2:
-        raise ValueError(f"--steps: expected {WARM + 2} to 100,000, got {steps}")
+    bench.check(sizes, threads, steps, fewest=WARM + 2)
     words = ["--contact", "--sizes", *map(str, sizes), "--threads", *map(str, threads), "--steps", str(steps)]
     return _measured("contact", words, lambda told: measure_contact(sizes, threads, steps, told), **files)
 

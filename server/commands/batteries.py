@@ -58,7 +58,7 @@ class Bench:
     peers: bool = False
     """Measure other simulators, too: those of the extra `peers` that are installed."""
     contact: bool = False
-    """In place of that, drape the sheets with each response and each detection."""
+    """In place of all that, drape the sheets with each response and each detection."""
     scenes: Annotated[Texts, arg(metavar="SCENE ...")] = ()
     """In place of sheets, step these scenes with effects forced on, as they are, and as their audit would."""
     cold: bool = False

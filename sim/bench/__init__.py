@@ -77,7 +77,9 @@ def solvers() -> dict[str, Peer]:
     return {MUSLIN: MUSLIN_AS_PEER, **PEERS}
 
 
-def check(sizes: Sequence[int], threads: Sequence[int], steps: int, seconds: float) -> None:
+def check(
+    sizes: Sequence[int], threads: Sequence[int], steps: int, seconds: float = SECONDS, fewest: int = 2
+) -> None:
     """Raise ValueError, in one line, for what cannot be measured."""
     if not sizes:
         raise ValueError("--sizes: expected at least one size, got none")
@@ -90,10 +92,15 @@ def check(sizes: Sequence[int], threads: Sequence[int], steps: int, seconds: flo
     for count in threads:
         if not 1 <= count <= cores:
             raise ValueError(f"--threads: expected 1 to {cores}, the cores of this computer, got {count}")
-    if not 2 <= steps <= 100_000:
-        raise ValueError(f"--steps: expected 2 to 100,000, got {steps}")
+    check_steps(steps, fewest)
     if not 0.0 < seconds <= 3600.0:
         raise ValueError(f"--seconds: expected > 0 and ≤ 3600, got {seconds:g}")
+
+
+def check_steps(steps: int, fewest: int) -> None:
+    """Raise ValueError, in one line, for fewer steps than that, or for very many."""
+    if not fewest <= steps <= 100_000:
+        raise ValueError(f"--steps: expected {fewest} to 100,000, got {steps}")
 
 
 def plan(

@@ -64,9 +64,10 @@ def _quartered(scene: Scene, cloth: Any) -> Arrays | None:
     held = build_mesh(replace(alone, cloth=[named])).pinned
     border = triangles_at(sides, mesh.triangles, n) == 1
     along = np.flatnonzero(border & np.isin(sides, held).all(axis=1))
+    numbers = edge_numbers(sides, n)
 
     def middles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return n + np.searchsorted(edge_numbers(sides, n), edge_numbers(np.stack([a, b], axis=1), n))
+        return n + np.searchsorted(numbers, edge_numbers(np.stack([a, b], axis=1), n))
 
     a, b, c = mesh.triangles.T
     ab, bc, ca = middles(a, b), middles(b, c), middles(c, a)
