@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import shlex
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import tomli_w
 from msgspec import to_builtins
 
+from server.commands.options import command_of
 from server.comparison import Comparison
-from sim.scene import Scene, scene_files
+from sim.scene import SCENES, Scene
 from sim.settings import Settings, differing
 
 
@@ -26,16 +27,15 @@ def as_toml(comparison: Comparison) -> str:
 
 def as_command(scene: Scene, comparison: Comparison) -> str:
     """What to type for the same cloths without the page."""
-    shipped = {path.stem: str(path) for path in scene_files()}
-    own = scene.source not in (scene.name, shipped.get(scene.name))
+    file = Path(scene.source)
+    called = file.stem if file.parent == SCENES else scene.source
     changed = differing(scene.settings, comparison.shared)
     changed.pop(comparison.by, None)
-    words = ["muslin", "compare" if comparison.by else "run", scene.source if own else scene.name]
-    if comparison.by:
-        words += ["--by", f"{comparison.by}={','.join(map(_typed, comparison.values))}"]
-    if changed:
-        words += ["--set", *(f"{name}={_typed(value)}" for name, value in changed.items())]
-    return shlex.join(words)
+    texts = tuple(f"{name}={_typed(value)}" for name, value in changed.items())
+    if not comparison.by:
+        return command_of("run", called, (texts,))
+    by = f"{comparison.by}={','.join(map(_typed, comparison.values))}"
+    return command_of("compare", called, (texts,), by=by)
 
 
 def _typed(value: Any) -> str:
