@@ -19,6 +19,9 @@ from sim.settings import Settings
 from sim.solve.coupling import Coupling, build_coupling, uncoupled
 from sim.solve.system import Matrix
 
+FIRMER, STIFFEST = 10.0, 1e4
+"""Times that a gap spring becomes stiffer at a time, and in all, so that impulses need not keep its gap."""
+
 
 class GapSprings(NamedTuple):
     """Contacts and their springs.
@@ -29,6 +32,8 @@ class GapSprings(NamedTuple):
         elements: Their gaps as coordinates.
         drag: (c,) d, the friction force per slip [N s/m].
         aside: (2, c) stiffness and drag of those that the solve does not feel yet, or no more.
+        target: (c,) gap that each is to end with [m].
+        stiffest: (c,) stiffness up to which it may be made stiffer for that [N/m].
     """
 
     contacts: Contacts
@@ -36,6 +41,8 @@ class GapSprings(NamedTuple):
     elements: Elements
     drag: np.ndarray
     aside: np.ndarray
+    target: np.ndarray
+    stiffest: np.ndarray
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate the gaps at `positions` (n, 3) [m]."""
@@ -127,17 +134,34 @@ class GapSprings(NamedTuple):
         about = self.contacts, self.elements, self.drag, velocities, pull, normal, friction
         return normal, friction, spread(*about)
 
-    def engage(self, positions: np.ndarray, slack: float) -> bool:
+    def engage(self, positions: np.ndarray, slack: float, moved: float, last: bool) -> bool:
         """Let go of contacts that pull, and take up those that lack more than `slack` [m] of their target.
 
-        Returns whether some were taken up, or had pulled over more than that, so that the solve should go on.
+        What pushes and is off its target by more than that, and by more than the last iteration `moved` [m],
+        becomes stiffer. Returns whether something lacks, is off, or pulls over more than that, so that the
+        solve should go on; where that was its `last` iteration, all stays as it was felt.
         """
         self.measure(positions)
         over, acts = self.elements.q - self.elements.rest, self.acts
         pull, lack = acts & (over > 0.0), ~acts & (over < -slack)
-        self.let_go(pull)
-        self.take_up(lack)
-        return bool(lack.any() or (over[pull] > slack).any())
+        off = np.abs(self.target - self.elements.q) > max(slack, moved)
+        off &= acts & ~pull & (self.elements.stiffness < self.stiffest)
+        if not last:
+            self.let_go(pull)
+            self.take_up(lack)
+            self._tighten(off)
+        return bool(off.any() or lack.any() or (over[pull] > slack).any())
+
+    def _tighten(self, which: np.ndarray) -> None:
+        """Make those (c,) bool stiffer; each goes on from the force that it has.
+
+        That is an augmented Lagrangian (Hestenes 1969; Powell 1969). What cloth that is stiffer than a gap
+        spring leaves of an overlap would else be for impulses to take back, which ask no spring.
+        """
+        e = self.elements
+        force = (e.stiffness * (e.rest - e.q))[which]
+        e.stiffness[which] *= FIRMER
+        e.rest[which] = self.target[which] + force / e.stiffness[which]
 
     def let_go(self, which: np.ndarray) -> None:
         """Have the solve not feel those (c,) bool, until it takes them up."""
@@ -170,7 +194,15 @@ class GapSprings(NamedTuple):
         return self.elements.tension
 
 
-NO_GAP_SPRINGS = GapSprings(NO_CONTACTS, 0, make_elements(np.zeros((0, 4)), 0), np.zeros(0), np.zeros((2, 0)))
+NO_GAP_SPRINGS = GapSprings(
+    contacts=NO_CONTACTS,
+    pairs=0,
+    elements=make_elements(np.zeros((0, 4)), 0),
+    drag=np.zeros(0),
+    aside=np.zeros((2, 0)),
+    target=np.zeros(0),
+    stiffest=np.zeros(0),
+)
 """What a step without contacts feels."""
 
 
@@ -209,7 +241,8 @@ def gap_springs(
         return NO_GAP_SPRINGS
     h, mass = settings.dt, contacts.masses(inverse_masses)
     lack = lacks(response, contacts, predicted, h)
-    kept = np.flatnonzero(((lack > 0.0) | (force > 0.0)) & (mass < np.inf))
+    engages = response.solved and settings.newton > 1
+    kept = np.flatnonzero(((lack > 0.0) | (force > 0.0) | engages) & (mass < np.inf))
     contacts, mass, lack, force, slip = (
         contacts.only(kept),
         mass[kept],
@@ -225,8 +258,10 @@ def gap_springs(
     bound = settings.friction * np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
     drag = first_drag(bound, np.maximum(sliding, slip), mass, h)
     among = int(np.count_nonzero(kept < pairs))
-    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))))
-    if response.solved and settings.newton > 1:
+    stiffest = elements.stiffness * (STIFFEST if response.impulses else 1.0)
+    aims = targets(response, contacts, h), stiffest
+    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))), *aims)
+    if engages:
         springs.let_go(apart)
     return springs
 

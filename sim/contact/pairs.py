@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.contact.broad import BETWEEN, WITHIN, BroadPhase, CandidateError, Candidates, strayed
+from sim.contact.cones import around, in_cones
 from sim.contact.contacts import NO_CONTACTS, NOT_OVER, Contacts, along
 from sim.contact.hold import go_at_most
 from sim.contact.impact import VERTEX_TRIANGLE
@@ -122,6 +123,7 @@ class Pairs:
         self._surface, tree = build_surface(
             places, np.concatenate([mesh.triangles, solid.triangles + n]), edges
         )
+        self._around = around(self._surface.faces, len(places))
         flat = inside_flats(solid.vertices, solid.triangles, solid.edges)
         felt = np.zeros(n, dtype=bool), np.zeros(len(mesh.edges), dtype=bool)
         vertices, lines = (np.concatenate(pair) for pair in zip(felt, flat, strict=True))
@@ -204,10 +206,11 @@ class Pairs:
         close = close[self._free[pairs.node[close]].any(axis=1)]
         close = close[~self._let_go(pairs.node[close])]
         close = close[~self._as_at_rest(pairs, close)]
-        close = close[~self._beside(pairs.node[close], pairs.kind[close], distance[close], weight[close])]
-        self._count(pairs, close)
         normal = np.einsum("ij,ijk->ik", weight[close], self._start[pairs.node[close]])
         normal /= distance[close, None]
+        square = in_cones(self._around, pairs.node[close], weight[close], normal, self._start)
+        close, normal = close[square], normal[square]
+        self._count(pairs, close)
         keep = np.full(len(close), self.thickness)
         return self._contacts(pairs, close, weight[close], normal, keep)
 
@@ -369,28 +372,6 @@ class Pairs:
         let_go = self._distance[close[alike]] >= self.thickness
         near[alike] = apart < np.where(let_go, self._reach, self.thickness)
         return near
-
-    def _beside(
-        self, node: np.ndarray, kind: np.ndarray, distance: np.ndarray, weight: np.ndarray
-    ) -> np.ndarray:
-        """Which of these pairs are a vertex and the border of an obstacle's triangle that lies beside it.
-
-        There, the next triangle at that border is nearer. To feel the border, too, as if the surface ended
-        there, would hold up what slides over it.
-        """
-        beside = np.zeros(len(kind), dtype=bool)
-        which = np.flatnonzero((kind == VERTEX_TRIANGLE) & (node[:, 0] < self._n) & (node[:, 1] >= self._n))
-        which = which[np.argsort(node[which, 0], kind="stable")]
-        vertex, corners, near = node[which, 0], node[which, 1:], weight[which, 1:] != 0.0
-        for apart in range(1, len(which)):
-            same = np.flatnonzero(vertex[apart:] == vertex[:-apart])
-            if not len(same):
-                break
-            for one, other in ((same, same + apart), (same + apart, same)):
-                shared = (corners[one][:, :, None] == corners[other][:, None, :]).any(axis=2)
-                nearer = distance[which[other]] < (1.0 - MARGIN) * distance[which[one]]
-                beside[which[one[(shared | ~near[one]).all(axis=1) & nearer]]] = True
-        return beside
 
     def _contacts(
         self, pairs: Candidates, which: np.ndarray, weight: np.ndarray, normal: np.ndarray, keep: np.ndarray

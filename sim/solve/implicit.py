@@ -154,10 +154,12 @@ def backward_euler(
             way = step - drift, descent
             step = drift + _line_search(model, contacts, x_hat, v_hat, velocities + drift, h, *way)
         velocities = velocities + step
-        last = small or newton == settings.newton or not step.any()  # of those before, nobody reads shares
-        shares = contacts.shares(x_hat + h * velocities, velocities) if booked and last else None
+        last = newton == settings.newton or not step.any()
+        shares = contacts.shares(x_hat + h * velocities, velocities) if booked and (small or last) else None
         if settings.newton > 1:
-            small = not contacts.engage(x_hat + h * velocities, settings.tolerance) and small
+            moved = h * float(np.abs(step).max(initial=0.0))
+            at = x_hat + h * velocities
+            small = not contacts.engage(at, settings.tolerance, moved, last) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
         if converged or newton == settings.newton or not step.any():

@@ -201,6 +201,22 @@ def test_any_number_of_threads_gives_the_same_bits(model):
     np.testing.assert_array_equal(products[0][1], products[1][1])
 
 
+def test_a_converged_solve_keeps_gaps_however_stiff_the_cloth_is():
+    """Impulses would take back what is left of overlaps, and do not ask what that stretches."""
+    world = stack(stretch=1e3, altitude=1e3, bending=1e-4, newton=60, tolerance=1e-5)
+    springs, _ = springs_of(world, random_contacts(world, 10))
+    first = springs.elements.stiffness + springs.aside[0]
+    x, h = world.positions, world.settings.dt
+    end = backward_euler(world.model, springs, world.settings, x, np.zeros_like(x), h, x)
+    assert end.converged
+    pushes = springs.pushes(end.positions, end.velocities, h) > 0.0
+    off = springs.contacts.gaps(end.positions) - springs.target
+    assert pushes.any()
+    assert (springs.elements.stiffness > first).any()
+    assert np.abs(off[pushes]).max() <= world.settings.tolerance
+    assert off.min() >= -world.settings.tolerance
+
+
 def test_the_settings_change_nothing_about_the_contacts_of_a_step():
     """Guards the helper of these tests: friction on or off, the same contacts press."""
     world = stack()
