@@ -501,6 +501,8 @@ def _contact(
         words += " vertices that are pinned, had no way out, or began there"
     if report.held_back:
         words += f"; {report.held_back} vertices held back from what they would have met"
+    if report.cut_short:
+        words += ", as the budget of looks at pairs left no more parts"
     return words + _tunnelling(settings, report, settings.thickness)
 
 

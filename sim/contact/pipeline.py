@@ -27,7 +27,7 @@ from sim.contact.reach import box, within_reach
 from sim.contact.response import RESPONSES, Response, lacks, targets
 from sim.contact.way import Solve, Way
 from sim.effects import OBSTACLE
-from sim.integrators import INTEGRATORS
+from sim.integrators import CALM, INTEGRATORS
 from sim.ledger import UNBOOKED, Part
 from sim.model import Model
 from sim.report import StepReport
@@ -264,30 +264,45 @@ class Pipeline:
         return solution, UNTOUCHED._replace(over=way.over)
 
     def _projected(self, way: Way) -> tuple[Solution, Touch]:
-        """Take a step that feels nothing, then put right what it led into."""
-        s, report, look = way.settings, way.report, self._detectors
-        with report.phase("solve"):
-            solution = way.solve(NO_GAP_SPRINGS, s, way.x, way.v, None)
-        report.iterations += solution.iterations
+        """Take a step that feels nothing, then put right what it led into.
+
+        As where contacts are felt, that is a step of backward Euler: what others keep of the energy that
+        projection puts into springs would grow from step to step.
+        """
+        s, report = way.settings, way.report
+        solution, seen, met, touching = self._led_into(way)
+        if INTEGRATORS[s.integrator].implicit and s.integrator != CALM:
+            found = met.and_also(touching)
+            if (found.gaps(solution.positions) < found.thickness).any():
+                calm = replace(way, settings=replaced(s, integrator=CALM))
+                solution, seen, met, touching = self._led_into(calm)
         x, v = solution.positions, solution.velocities
-        if not np.isfinite(x).all():
-            return solution, UNTOUCHED
-        with report.phase("detect"):
-            static = replace(way, before=way.after, x=x)
-            seen, hits = static, NO_CONTACTS
-            if s.detection == "continuous":
-                seen = way
-                look.at_start(way)
-                hits = look.on_the_way(way, x)
-            met = hits.and_also(look.at_start(static))
-            touching = look.of_vertices(seen, x)
         self._put_right(way, met.and_also(touching), x, v)
         report.contacts = len(met.key) + len(touching.key)
         if len(met.key):  # which may have pushed vertices into obstacles that they did not touch
             with report.phase("detect"):
-                touching = look.of_vertices(seen, x)
+                touching = self._detectors.of_vertices(seen, x)
             self._put_right(way, touching, x, v)
         return solution, UNTOUCHED
+
+    def _led_into(self, way: Way) -> tuple[Solution, Way, Contacts, Contacts]:
+        """A step that feels nothing, the way on which it is seen, and what pairs and vertices it led into."""
+        report, look = way.report, self._detectors
+        with report.phase("solve"):
+            solution = way.solve(NO_GAP_SPRINGS, way.settings, way.x, way.v, None)
+        report.iterations += solution.iterations
+        x = solution.positions
+        if not np.isfinite(x).all():
+            return solution, way, NO_CONTACTS, NO_CONTACTS
+        with report.phase("detect"):
+            static = replace(way, before=way.after, x=x)
+            seen, hits = static, NO_CONTACTS
+            if way.settings.detection == "continuous":
+                seen = way
+                look.at_start(way)
+                hits = look.on_the_way(way, x)
+            met = hits.and_also(look.at_start(static))
+            return solution, seen, met, look.of_vertices(seen, x)
 
     def _put_right(self, way: Way, contacts: Contacts, x: np.ndarray, v: np.ndarray) -> None:
         """Take the contacts' overlaps out of `x` (n, 3) [m], and the speed at which they close out of `v`."""
@@ -443,8 +458,7 @@ class Pipeline:
                 way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
         return (contacts, given) if way.last and self._held_back(resort, way, x, v) else None
 
-    @staticmethod
-    def _held_back(resort: LastResort, way: Way, x: np.ndarray, v: np.ndarray) -> bool:
+    def _held_back(self, resort: LastResort, way: Way, x: np.ndarray, v: np.ndarray) -> bool:
         """Let vertices go to `x` as far as nothing is met; False where halves might yet do better.
 
         What is held back gains no speed by it: forces that act on what does not give way do no work.
@@ -461,4 +475,5 @@ class Pipeline:
         report.overruns += bool(len(over.key))
         report.held_back += len(which)
         report.failsafes += bool(len(which))
+        report.cut_short |= self._detectors.many and bool(len(which))
         return True
