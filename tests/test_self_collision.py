@@ -128,7 +128,7 @@ def test_what_sheets_push_each_other_into_is_put_right_as_well(detection):
 def test_cloth_slides_on_flat_cloth_without_friction(rows, turned, contact, newton):
     """By gravity along it: what lies beside nearest points is no ramp, neither to borders nor to edges.
 
-    Less than a linearised step loses: the sheets are not quite flat. It was all of it, and half with penalty.
+    At the border of the upper sheet a little of one is left. It was all of it, and half with penalty.
     """
     below = grid((1.2, 0.5), (13, 6), position=[0.3, 0, 0])
     below["pins"] = list(range(13 * 6))
@@ -141,4 +141,4 @@ def test_cloth_slides_on_flat_cloth_without_friction(rows, turned, contact, newt
         world.step()
         speeds.append(world.velocities[world.pieces == 1, 0].mean())
     part = (speeds[-1] - speeds[4]) / (along * 15 * h)
-    assert (0.93 if newton == 1 else 0.98) < part < 1.001
+    assert 0.98 < part < 1.001

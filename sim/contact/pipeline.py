@@ -235,7 +235,7 @@ class Pipeline:
                     contacts = contacts.or_else(springs.contacts, *lack)
                 late = self._late(way, contacts.only(slice(len(near.key), None)), x)
                 hits = NO_CONTACTS
-                if response is not None and not (response.impulses and s.newton == 1):
+                if response is not None and not (response.impulses and s.newton == 1):  # those, impulses stop
                     hits = look.on_the_way(way, x)
                     hits = hits.only(~np.isin(hits.key, near.key))
             solves, report.iterations = solves + 1, report.iterations + solution.iterations

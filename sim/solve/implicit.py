@@ -162,7 +162,7 @@ def backward_euler(
             small = not contacts.engage(at, settings.tolerance, moved, last) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
-        if converged or newton == settings.newton or not step.any():
+        if converged or last:
             end = x_hat + h * velocities
             why = _why_stopped(settings, linear, small, bool(step.any()))
             felt = None
