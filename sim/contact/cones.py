@@ -44,34 +44,55 @@ def around(faces: np.ndarray, n: int) -> Around:
 def in_cones(around, node, weight, normal, positions):
     """(c,) bool, whether each normal (c, 3), toward positive weights, is in the cones of both its features.
 
-    Where the nearest points lie within a triangle, or within two edges, the normal is square to both sides,
-    and the pair always counts: at a crease nothing else may hold.
+    Where nearest points lie within a triangle, within two edges, or within an edge that no triangle has, the
+    normal is square to what is there, and the pair always counts: at a crease nothing else may hold.
     """
     found = np.ones(len(node), dtype=np.bool_)
     for c in range(len(node)):
-        acting = 0
-        for a in range(4):
-            acting += weight[c, a] != 0.0
-        if acting < 4:
-            for side in (1.0, -1.0):
-                found[c] = found[c] and _in_cone(around, node, weight, normal, positions, c, side)
+        above = _nearest(node, weight, c, 1.0)
+        below = _nearest(node, weight, c, -1.0)
+        if above[2] + below[2] == 4 or _is_bare(around, above) or _is_bare(around, below):
+            continue
+        n = row(normal, c)
+        found[c] = _in_cone(around, above, n, positions) and _in_cone(
+            around, below, scale(-1.0, n), positions
+        )
     return found
 
 
 @inner
-def _in_cone(around, node, weight, normal, positions, c, side):
-    """Whether no way along the surface of one side leads nearer to the other."""
+def _nearest(node, weight, c, side):
+    """The first two vertices of one side of pair c that weigh something, and how many do."""
     one, other, count = -1, -1, 0
     for a in range(4):
         if side * weight[c, a] > 0.0:
             other = node[c, a] if count == 1 else other
             one = node[c, a] if count == 0 else one
             count += 1
-    n, p = scale(side, row(normal, c)), row(positions, one)
+    return one, other, count
+
+
+@inner
+def _is_bare(around, nearest):
+    """Whether the nearest point of a side lies within an edge that no triangle has."""
+    one, other, count = nearest
+    if count != 2:
+        return False
+    for k in range(around.first[one], around.first[one + 1]):
+        i, j, m = row(around.faces, around.element[k])
+        if other in (i, j, m) and j != m:
+            return False
+    return True
+
+
+@inner
+def _in_cone(around, nearest, n, positions):
+    """Whether no way along the surface of a side leads against `n`, nearer to the other side."""
+    one, other, count = nearest
+    p = row(positions, one)
     along = sub(row(positions, other), p) if count == 2 else n
     for k in range(around.first[one], around.first[one + 1]):
-        f = around.element[k]
-        i, j, m = around.faces[f, 0], around.faces[f, 1], around.faces[f, 2]
+        i, j, m = row(around.faces, around.element[k])
         if count == 2 and other not in (i, j, m):
             continue
         for corner in (i, j, m):

@@ -40,6 +40,17 @@ def test_either_side_may_have_none():
         assert not counts(ahead, [4, 5, 1, 2], sign * np.array([1, 0, -0.5, -0.5]))
 
 
+def test_within_an_edge_that_no_triangle_has_a_pair_always_counts():
+    """As within a triangle; what lies beside a joint of such edges, where the chain goes on, does not."""
+    chain = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0.4, 0.1, 0.1]])
+    edges = around(np.array([[0, 1, 1], [1, 2, 2]], dtype=np.int32), 4)
+    for weight, expected in (([1, -0.6, -0.4], True), ([1, 0, -1], False)):
+        normal = weight @ chain[[3, 0, 1]]
+        normal /= np.linalg.norm(normal)
+        about = np.array([[3, 0, 1, 0]]), np.array([[*weight, 0.0]]), normal[None]
+        assert bool(in_cones(edges, *about, chain)[0]) is expected
+
+
 def test_what_is_near_within_two_edges_or_a_triangle_always_counts():
     crossing = [[0.3, 0.3, 0.1], [0.9, 0.6, 0.1]]
     assert counts(crossing, [4, 5, 1, 2], [0.6, 0.4, -0.5, -0.5])
