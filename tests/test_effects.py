@@ -386,7 +386,7 @@ def test_springs_that_are_given_stiffness_while_running_start_from_where_the_clo
 
 def test_what_was_felt_in_one_part_of_a_step_is_not_called_skipped_as_the_last_part_is_free_of_it():
     """A mesh leaps through a sheet in a step that is done in parts: the last has no pair in reach."""
-    there = {"time": 0.01, "position": [0.3, 0.1, -1.0], "rotation": [2.0, -20.0, 9.0]}
+    there = {"time": 0.01, "position": [0.3, 1.1, -3.8], "rotation": [-25.0, -3.0, 13.0]}
     leap = [{"time": 0.0, "position": [0.0, 0.0, 0.29]}, there]
     thin = {"vertices": [[-0.3, 0, 0], [0.3, 0, 0], [0, 0.3, 0.2]], "triangles": [[0, 1, 2]], "name": "mesh"}
     world = sim.Simulation(
