@@ -163,13 +163,16 @@ def _complementary(matrix, b, p):
     for _ in range(MOST_PIVOTS):
         if not _solve(matrix, b, acts, p):
             return False
-        count, last = 0, -1
+        count, last, acting = 0, -1, np.flatnonzero(acts)
         for k in range(size):
-            rest, most = -b[k], abs(b[k])
-            for m in range(size):
-                rest += matrix[k, m] * p[m]
-                most = max(most, abs(matrix[k, m] * p[m]))
-            wrong[k] = p[k] < 0.0 if acts[k] else rest < -WRONG * most
+            if acts[k]:
+                wrong[k] = p[k] < 0.0
+            else:
+                rest, most = -b[k], abs(b[k])
+                for m in acting:
+                    rest += matrix[k, m] * p[m]
+                    most = max(most, abs(matrix[k, m] * p[m]))
+                wrong[k] = rest < -WRONG * most
             if wrong[k]:
                 count, last = count + 1, k
         if count == 0:  # unless it is no way out, but made so by what is added to the diagonal
@@ -193,29 +196,33 @@ def _complementary(matrix, b, p):
 
 @inner
 def _solve(matrix, b, acts, p):
-    """Fill p with the solution of A p = b for those that act, and zero for others, by Cholesky."""
+    """Fill p with the solution of A p = b for those that act, and zero for others, by Cholesky.
+
+    Each row of the factor is taken off all those below it, along rows: the sums are the same, in the same
+    order, as entry by entry, but the compiler can do several at once.
+    """
     p[:] = 0.0
-    which = np.flatnonzero(acts)
-    size = len(which)
-    factor, y = np.zeros((size, size)), np.empty(size)
+    which = np.flatnonzero(acts).astype(np.uint32)
+    size, one = np.uint64(len(which)), np.uint64(1)  # unsigned, as indices are
+    factor, y = np.empty((len(which), len(which))), b[which]
     for k in range(size):
-        for m in range(k + 1):
-            total = matrix[which[k], which[m]]
-            for s in range(m):
-                total -= factor[k, s] * factor[m, s]
-            if m < k:
-                factor[k, m] = total / factor[m, m]
-            elif total > 0.0:
-                factor[k, k] = np.sqrt(total)
-            else:
-                return False
-        y[k] = b[which[k]]
-        for s in range(k):
-            y[k] -= factor[k, s] * y[s]
-        y[k] /= factor[k, k]
-    for k in range(size - 1, -1, -1):
+        for m in range(k, size):
+            factor[k, m] = matrix[which[m], which[k]]
+    for s in range(size):
+        if not factor[s, s] > 0.0:
+            return False
+        factor[s, s] = np.sqrt(factor[s, s])
+        y[s] /= factor[s, s]
+        for m in range(s + one, size):
+            factor[s, m] /= factor[s, s]
+            y[m] -= factor[s, m] * y[s]
+        for k in range(s + one, size):
+            part = factor[s, k]
+            for m in range(k, size):
+                factor[k, m] -= part * factor[s, m]
+    for k in range(len(which) - 1, -1, -1):
         total = y[k]
-        for s in range(k + 1, size):
-            total -= factor[s, k] * p[which[s]]
+        for s in range(k + 1, len(which)):
+            total -= factor[k, s] * p[which[s]]
         p[which[k]] = total / factor[k, k]
     return True
