@@ -92,6 +92,10 @@ class Candidates(NamedTuple):
         """Whether no other pair is within reach with vertices at `positions` (n, 3) [m]."""
         return strayed(positions, self.end) <= self.skin or strayed(positions, self.start) <= self.skin
 
+    def made_for(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether a list for the way from `start` to `end`, (n, 3) both [m], is this one."""
+        return np.array_equal(start, self.start) and np.array_equal(end, self.end)
+
     def hold_on(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether no other pair comes within reach on the way from `start` to `end`, (n, 3) both [m]."""
         return strayed(end, self.end) <= self.skin and strayed(start, self.start) <= self.skin

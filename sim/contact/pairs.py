@@ -258,7 +258,7 @@ class Pairs:
         of them that would have gone farther.
         """
         way = self._start, np.concatenate([end, self._after])
-        pairs = self._renewed(way)  # how far all others are must not depend on what an older list has of them
+        pairs = self._fresh(way)  # how far all others are must not depend on what an older list has of them
         self._note(np.inf)
         self._look(pairs)
         least, node = np.full(len(self._start), np.inf), pairs.node
@@ -269,6 +269,13 @@ class Pairs:
         """The list, with bounds or `_distance` of its pairs at the start; None if it holds no longer."""
         known = self._list
         return None if known is None or self.exhaustive or not known.hold_on(*way) else known
+
+    def _fresh(self, way: tuple[np.ndarray, np.ndarray]) -> Candidates:
+        """The list that is made for just this way, with bounds or `_distance` of its pairs at the start."""
+        known = self._list
+        if known is not None and not self.exhaustive and known.made_for(*way):
+            return known
+        return self._renewed(way)
 
     def _renewed(self, way: tuple[np.ndarray, np.ndarray]) -> Candidates:
         """A new list for the way, with bounds of its pairs at the start."""
@@ -354,7 +361,7 @@ class Pairs:
 
     def _let_go(self, node: np.ndarray) -> np.ndarray:
         """(p,) whether pairs of the vertices `node` (p, 4) are of one that their obstacle has run over."""
-        if not len(self._over):
+        if not len(self._over) or not len(self.solid.vertices):
             return np.zeros(len(node), dtype=bool)
         obstacle = (-1 - self._piece[node]).max(axis=1)
         return (obstacle >= 0) & np.isin(node * self._parts + obstacle[:, None], self._over).any(axis=1)
