@@ -54,19 +54,22 @@ def keep_apart(
     """Sweep over the contacts, then settle the zones of those that still lack: see `push_apart`."""
     about = contacts, targets, masses, inverse_masses, h, positions, velocities, given
     if push_apart(*about):
+        hopeless = np.zeros(len(positions), dtype=np.int64)
         for _ in range(MOST_PASSES):
-            settled, _ = settle_zones(*about)
+            settled, _ = settle_zones(*about, hopeless)
             report.zones += settled
             if not settled:
                 break
 
 
 @kernel
-def settle_zones(contacts, targets, masses, inverse_masses, h, positions, velocities, given):
+def settle_zones(contacts, targets, masses, inverse_masses, h, positions, velocities, given, hopeless):
     """Replace what the contacts of unsettled zones were `given` (c,) [N s] by impulses that keep all targets.
 
     `targets` (c,) [m]; `masses` (c,) are those that the contacts move. Returns how many zones were settled,
-    and how many could not be: too many contacts, or none of the impulses will do.
+    and how many could not be: too many contacts, or none of the impulses will do. `hopeless` (n,) has the
+    size of the latter where their first vertex is, zero elsewhere: nothing else moves what is theirs, so
+    they are not tried again at this size.
     """
     n, count = len(positions), len(given)
     lack = np.empty(count)
@@ -94,7 +97,7 @@ def settle_zones(contacts, targets, masses, inverse_masses, h, positions, veloci
     for z in range(n):
         if not unsettled[z]:
             continue
-        if size[z] > MOST_IN_ZONE:
+        if size[z] > MOST_IN_ZONE or size[z] == hopeless[z]:
             left += 1
             continue
         members = np.flatnonzero(of == z)
@@ -105,6 +108,7 @@ def settle_zones(contacts, targets, masses, inverse_masses, h, positions, veloci
                 b[k] += matrix[k, m] * given[members[m]]
         impulse = np.empty(len(members))
         if not _complementary(matrix, b, impulse):
+            hopeless[z] = size[z]
             left += 1
             continue
         settled += 1
@@ -113,6 +117,8 @@ def settle_zones(contacts, targets, masses, inverse_masses, h, positions, veloci
             change = scale(impulse[k] - given[c], row(contacts.normal, c))
             give(contacts, c, inverse_masses, change, h, positions, velocities)
             given[c] = impulse[k]
+            for a in range(4):
+                hopeless[contacts.node[c, a]] = 0
     return settled, left
 
 

@@ -32,7 +32,8 @@ def settled(contacts, targets, masses, x, v, sweeps=True):
     about = contacts, targets, contacts.masses(inverse), inverse, H, x, v, given
     if sweeps:
         push_apart(*about)
-    counts = [settle_zones(*about) for _ in range(MOST_PASSES)]
+    hopeless = np.zeros(len(x), dtype=np.int64)
+    counts = [settle_zones(*about, hopeless) for _ in range(MOST_PASSES)]
     return x, v, given, (sum(settled for settled, _ in counts), counts[-1][1])
 
 
