@@ -88,24 +88,31 @@ class LastResort:
         obstacle that moves, if it is one; and at last all stay near their `start` (n, 3) [m].
         """
         asked, rest, carrier = end.copy(), start.copy(), np.full(len(end), NOBODY)
-        found = self._held(end, rest, MOST_TURNS, carrier)
+        met = self.met(end)
+        found = self._held(end, met, rest, MOST_TURNS, carrier)
         carriers = np.unique(carrier[carrier >= 0])
         if len(found.over.key) and len(carriers) == 1:
             end[:], rest[self.free] = asked, self.faces.along(carriers[0], self.free)
-            found = self._held(end, rest, STUCK)
+            found = self._held(end, met, rest, STUCK)
         if len(found.over.key):
             end[:], rest[:] = asked, start
-            found = self._held(end, rest, STUCK)
+            found = self._held(end, met, rest, STUCK)
         return found
 
-    def _held(self, x: np.ndarray, rest: np.ndarray, turns: int, carrier: np.ndarray | None = None) -> Held:
-        """Let what meets on the way to `x` (n, 3) [m] end near `rest` (n, 3) [m].
+    def _held(
+        self,
+        x: np.ndarray,
+        met: tuple[Contacts, Contacts],
+        rest: np.ndarray,
+        turns: int,
+        carrier: np.ndarray | None = None,
+    ) -> Held:
+        """Let what `met` on the way to `x` (n, 3) [m] end near `rest` (n, 3) [m].
 
         `carrier` (n,) says by which obstacle each vertex rests, and more come to rest by one as they meet it;
         without it, rests stay, and all that can move is held back together.
         """
-        held = np.zeros(len(x), dtype=bool)
-        over, lost = self.met(x)
+        held, (over, lost) = np.zeros(len(x), dtype=bool), met
         for _ in range(turns):
             if not len(over.key):
                 break
