@@ -41,6 +41,10 @@ MOST_SOLVES = 3
 MOST_ROUNDS = 8
 """Rounds of impulses and continuous detection before a step is done in halves."""
 
+STALLED, STILL = 2, 1e-2
+"""Rounds running that met just what the one before did, and moved no vertex by this part of the thickness
+since, after which none is tried: they lead nowhere."""
+
 MOST_HALVINGS = 5
 """Times that a step is halved before vertices are held back."""
 
@@ -50,6 +54,9 @@ much stiffer its gap springs are where it was impulses, which do not ask: so the
 
 LIMITED = MOST_HALVINGS - 2
 """Halvings left at which cloth may stretch beyond its limit, which might leave it no way past obstacles."""
+
+MOST_PARTS = 48
+"""Parts that a step is done in; the last of them end as well as they can in one go."""
 
 MOST_FAILSAFES = 4
 """Parts of a step whose vertices were held back, after which no other part is halved: it is of no use."""
@@ -171,10 +178,11 @@ class Pipeline:
         One that puts in energy is first repeated, from where it led, with more Newton iterations: cloth
         that is stopped within an edge's length stretches in a way that no linear model tells.
         """
-        report, many = way.report, self._detectors.many
-        way.last = many or halvings <= 0 or report.failsafes >= MOST_FAILSAFES
+        report = way.report
+        spent = self._spent(report)
+        way.last = spent or halvings <= 0 or report.failsafes >= MOST_FAILSAFES
         few = halvings <= 0 and report.overruns >= MOST_OVERRUNS
-        way.deepest = many or halvings == -MOST_DEEPER or few
+        way.deepest = spent or halvings == -MOST_DEEPER or few
         found = self._attempt(way)
         if way.erupted and way.response is not None and way.settings.newton < NEWTON:
             response = way.response
@@ -435,7 +443,7 @@ class Pipeline:
             All contacts, and the impulses [N s] that they were given after the solve.
         """
         s, h, report, inverse_masses = way.settings, way.settings.dt, way.report, self._model.inverse_masses
-        resort = self._detectors.last_resort(way)
+        resort, stalls, met, places = self._detectors.last_resort(way), 0, NO_CONTACTS.key, way.x
         for _ in range(MOST_ROUNDS):
             with report.phase("detect"):
                 hits, lost = resort.met(x)
@@ -446,16 +454,21 @@ class Pipeline:
             if not len(hits.key) and not len(beyond.key):
                 way.over = joined(way.over, resort.run_over(lost))
                 return contacts, given
+            known, met = met, np.sort(np.append(hits.key, beyond.key))
+            still = np.array_equal(met, known) and np.abs(x - places).max() < STILL * s.thickness
+            stalls, places = (stalls + 1 if still else 0), x.copy()
+            if stalls == STALLED:
+                break
             report.hits += len(hits.key)
             known = len(contacts.key)
             contacts = self._fitted(contacts, hits.and_also(beyond), x, report)
             given = np.append(given, np.zeros(len(contacts.key) - known))
-            before = given.copy()
+            had = given.copy()
             masses = contacts.masses(inverse_masses)
             push = masses, inverse_masses, h, x, v
             way.part.keep_apart(contacts, targets(response, contacts, h), *push, given, report)
             if s.friction > 0.0:
-                way.part.rub(contacts, *push, s.friction * np.maximum(given - before, 0.0))
+                way.part.rub(contacts, *push, s.friction * np.maximum(given - had, 0.0))
         return (contacts, given) if way.last and self._held_back(resort, way, x, v) else None
 
     def _held_back(self, resort: LastResort, way: Way, x: np.ndarray, v: np.ndarray) -> bool:
@@ -475,5 +488,9 @@ class Pipeline:
         report.overruns += bool(len(over.key))
         report.held_back += len(which)
         report.failsafes += bool(len(which))
-        report.cut_short |= self._detectors.many and bool(len(which))
+        report.cut_short |= self._spent(report) and bool(len(which))
         return True
+
+    def _spent(self, report: StepReport) -> bool:
+        """Whether a budget of the step leaves no more parts: that of pairs asked, or that of parts."""
+        return self._detectors.many or report.substeps >= MOST_PARTS

@@ -201,6 +201,23 @@ def test_a_second_look_shortens_no_way_again():
     np.testing.assert_array_equal(end, once)
 
 
+def test_ways_are_shortened_by_the_list_that_was_made_for_them():
+    case = Case(*rough(4, 0.0, 0.012))
+    end = case.x + 0.05 * np.random.default_rng(0).standard_normal(case.x.shape)
+    lists, ends = [], []
+    for looked_before in (False, True):
+        case.pairs.forget()
+        case.begin()
+        ends.append(end.copy())
+        if looked_before:
+            case.pairs.hits(ends[-1])
+        before = case.pairs.lists
+        case.pairs.shorten(ends[-1], np.arange(len(case.x)), case.x)
+        lists.append(case.pairs.lists - before)
+    assert lists == [1, 0]
+    np.testing.assert_array_equal(*ends)
+
+
 def test_a_solid_is_in_offset_and_speed_alone():
     shift = np.array([0.001, -0.002, 0.003])
     case = Case(*rough(6, 0.0), solid=TETRAHEDRON, shift=shift, own=False)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import sim
+from sim.contact import pipeline
 from sim.contact.contacts import make_contacts
 from sim.contact.pinch import SHARES, fit
 from tests.contact.judge import run_cleanly
@@ -71,6 +72,20 @@ def test_pinched_cloth_stays_between_the_jaws_is_reported_and_comes_out(kind, ga
     assert deepest <= side * max(-gap, 0.0) + 2e-3
     assert reports[-1].penetrations == 0
     assert strain(world) < 0.1
+
+
+def test_rounds_that_move_nothing_are_not_repeated(monkeypatch):
+    """What both jaws press stays where it is, however often it is pushed."""
+    hits = []
+    for rounds in (8, 40):
+        monkeypatch.setattr(pipeline, "MOST_ROUNDS", rounds)
+        world = jaws("box", -0.02)
+        while world.time < CLOSING:
+            report = world.step()
+            if report.substeps > 1:
+                hits.append(report.hits)
+    assert len(hits) > 1
+    assert hits[: len(hits) // 2] == hits[len(hits) // 2 :]
 
 
 def planes(*planes):

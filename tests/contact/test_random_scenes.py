@@ -6,7 +6,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 import sim
-from sim.contact import pairs
+from sim.contact import pairs, pipeline
 from sim.integrators import INTEGRATORS
 from sim.scene import SceneError
 from sim.stress.contact import loose_triangles
@@ -164,3 +164,15 @@ def test_a_step_that_asks_too_much_is_brought_to_its_end(monkeypatch):
     check(world, report, x, 0.0)
     assert "held back from what they would have met, as the budget of looks" in report.effects["contact"]
     assert world.contact._detectors.pairs.asked > pairs.MANY * pairs.MOST_ASKED
+
+
+def test_a_step_in_too_many_parts_is_brought_to_its_end(monkeypatch):
+    """However few pairs are asked, as where cloth meets nothing but obstacles."""
+    monkeypatch.setattr(pipeline, "MOST_PARTS", 6)
+    world = started(205)
+    x = world.positions.copy()
+    report = world.step()
+    check(world, report, x, 0.0)
+    assert report.substeps == 6
+    assert "or that of parts, left no more" in report.effects["contact"]
+    assert not world.contact._detectors.many
