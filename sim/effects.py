@@ -502,7 +502,7 @@ def _contact(
     if report.held_back:
         words += f"; {report.held_back} vertices held back from what they would have met"
     if report.cut_short:
-        words += ", as the budget of looks at pairs, or that of parts, left no more parts"
+        words += ", as the step's budget of pairs and parts was spent"
     return words + _tunnelling(settings, report, settings.thickness)
 
 

@@ -55,7 +55,7 @@ class StepReport:
         overrun_by: These obstacles, as effects name them.
         overruns: Parts of the step in which one did though they could move.
         substeps: Parts that the step was done in.
-        cut_short: Whether vertices were held back as the budget of pairs, or of parts, left no more parts.
+        cut_short: Whether vertices were held back as the step's budget of pairs and parts was spent.
         integrator: What took the step: the setting, or what stood in for it.
         effects: Each effect and whether it ran, or why not.
         energy_injected: By changes of settings since the step before [J].

@@ -55,7 +55,7 @@ much stiffer its gap springs are where it was impulses, which do not ask: so the
 LIMITED = MOST_HALVINGS - 2
 """Halvings left at which cloth may stretch beyond its limit, which might leave it no way past obstacles."""
 
-MOST_PARTS = 48
+MOST_PARTS = 128
 """Parts that a step is done in; the last of them end as well as they can in one go."""
 
 MOST_FAILSAFES = 4
@@ -454,9 +454,9 @@ class Pipeline:
             if not len(hits.key) and not len(beyond.key):
                 way.over = joined(way.over, resort.run_over(lost))
                 return contacts, given
-            known, met = met, np.sort(np.append(hits.key, beyond.key))
-            still = np.array_equal(met, known) and np.abs(x - places).max() < STILL * s.thickness
-            stalls, places = (stalls + 1 if still else 0), x.copy()
+            again = np.sort(np.append(hits.key, beyond.key))
+            still = np.array_equal(again, met) and np.abs(x - places).max() < STILL * s.thickness
+            stalls, met, places = (stalls + 1 if still else 0), again, x.copy()
             if stalls == STALLED:
                 break
             report.hits += len(hits.key)

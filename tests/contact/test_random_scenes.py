@@ -162,7 +162,10 @@ def test_a_step_that_asks_too_much_is_brought_to_its_end(monkeypatch):
     x = world.positions.copy()
     report = world.step()
     check(world, report, x, 0.0)
-    assert "held back from what they would have met, as the budget of looks" in report.effects["contact"]
+    assert (
+        "held back from what they would have met, as the step's budget of pairs and parts was spent"
+        in report.effects["contact"]
+    )
     assert world.contact._detectors.pairs.asked > pairs.MANY * pairs.MOST_ASKED
 
 
@@ -174,5 +177,5 @@ def test_a_step_in_too_many_parts_is_brought_to_its_end(monkeypatch):
     report = world.step()
     check(world, report, x, 0.0)
     assert report.substeps == 6
-    assert "or that of parts, left no more" in report.effects["contact"]
+    assert "as the step's budget of pairs and parts was spent" in report.effects["contact"]
     assert not world.contact._detectors.many
