@@ -53,10 +53,9 @@ def in_cones(around, node, weight, normal, positions):
         below = _nearest(node, weight, c, -1.0)
         if above[2] + below[2] == 4 or _is_bare(around, above) or _is_bare(around, below):
             continue
-        n = row(normal, c)
-        found[c] = _in_cone(around, above, n, positions) and _in_cone(
-            around, below, scale(-1.0, n), positions
-        )
+        up = row(normal, c)
+        down = scale(-1.0, up)
+        found[c] = _in_cone(around, above, up, positions) and _in_cone(around, below, down, positions)
     return found
 
 

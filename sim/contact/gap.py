@@ -221,9 +221,9 @@ def gap_springs(
     """The gap springs of contacts that pressed in the step before, or that would unhindered end too close.
 
     A linear solve cannot tell beforehand which of the latter will press, and feels them all. Where there are
-    more Newton iterations, the first feels what pressed before, or comes too close by the speed that it has,
-    and the next take up what lacks: with all of them, cloth that hangs off the edge of an obstacle would be
-    pulled to it first, each step anew.
+    more Newton iterations, all contacts have springs: the first iteration feels what pressed before, or comes
+    too close by the speed that it has, and the next take up what lacks. With all of them from the start,
+    cloth that hangs off the edge of an obstacle would be pulled to it first, each step anew.
 
     Args:
         response: Which response; none has no springs.
@@ -252,15 +252,15 @@ def gap_springs(
     )
     passing = contacts.passing(velocities)
     closing = along(contacts.normal, passing)
-    elements = _across(response, contacts, mass, force, closing, positions, h)
+    target = targets(response, contacts, h)
+    elements = _across(response, contacts, target, mass, force, closing, positions, h)
     apart = (force == 0.0) & (contacts.start + h * closing >= elements.rest)
     sliding = np.linalg.norm(passing - closing[:, None] * contacts.normal, axis=1)
     bound = settings.friction * np.maximum(force, mass * np.maximum(lack, 0.0) / h**2)
     drag = first_drag(bound, np.maximum(sliding, slip), mass, h)
     among = int(np.count_nonzero(kept < pairs))
     stiffest = elements.stiffness * (STIFFEST if response.impulses else 1.0)
-    aims = targets(response, contacts, h), stiffest
-    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))), *aims)
+    springs = GapSprings(contacts, among, elements, drag, np.zeros((2, len(drag))), target, stiffest)
     if engages:
         springs.let_go(apart)
     return springs
@@ -269,17 +269,21 @@ def gap_springs(
 def _across(
     response: Response,
     contacts: Contacts,
+    target: np.ndarray,
     mass: np.ndarray,
     force: np.ndarray,
     closing: np.ndarray,
     positions: np.ndarray,
     h: float,
 ) -> Elements:
-    """Springs along the normals of c contacts of `mass` (c,), damped where they are `closing` (c,) [m/s]."""
+    """Springs along the normals of c contacts of `mass` (c,) toward their `target` gaps (c,) [m].
+
+    They are damped where they are `closing` (c,) [m/s].
+    """
     elements = make_elements(contacts.node, 0)
     elements.gradient[:] = contacts.weight[:, :, None] * contacts.normal[:, None]
     elements.stiffness[:] = response.stiffness * mass / h**2
-    elements.rest[:] = targets(response, contacts, h)
+    elements.rest[:] = target
     if response.carries:
         elements.rest[:] += force / elements.stiffness
     critical = 2.0 * np.sqrt(mass * elements.stiffness)

@@ -154,22 +154,20 @@ def backward_euler(
             way = step - drift, descent
             step = drift + _line_search(model, contacts, x_hat, v_hat, velocities + drift, h, *way)
         velocities = velocities + step
-        last = newton == settings.newton or not step.any()
-        shares = contacts.shares(x_hat + h * velocities, velocities) if booked and (small or last) else None
+        at, last = x_hat + h * velocities, newton == settings.newton or not step.any()
+        shares = contacts.shares(at, velocities) if booked and (small or last) else None
         if settings.newton > 1:
             moved = h * float(np.abs(step).max(initial=0.0))
-            at = x_hat + h * velocities
             small = not contacts.engage(at, settings.tolerance, moved, last) and small
         guess, shortcut = np.zeros_like(step), np.zeros_like(step)
         converged = linear.converged and (settings.newton == 1 or small)
         if converged or last:
-            end = x_hat + h * velocities
             why = _why_stopped(settings, linear, small, bool(step.any()))
             felt = None
             if shares is not None:
                 felt = Felt(_modelled(model, forces, linear.step, step, h), *shares)
             how = iterations, newton, linear.error, converged, linear.solver, why
-            return Solution(end, velocities, *how, felt)
+            return Solution(at, velocities, *how, felt)
 
 
 def _modelled(model: Model, forces: np.ndarray, full: np.ndarray, step: np.ndarray, h: float) -> np.ndarray:
