@@ -90,7 +90,8 @@ def share(chunk, n):
 def even_shares(starts: np.ndarray) -> np.ndarray:
     """(CHUNKS + 1,) n runs of work, which start at `starts` (n + 1,), split into parts of about as much."""
     ends = np.searchsorted(starts, np.linspace(0, starts[-1], CHUNKS + 1))
-    return ends.clip(0, len(starts) - 1).astype(np.int64)
+    ends[-1] = len(starts) - 1  # with those at the end that are no work
+    return ends.astype(np.int64)
 
 
 class Vec3(NamedTuple):

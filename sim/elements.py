@@ -21,8 +21,9 @@ import numpy as np
 
 from sim.compiled import CHUNKS, corner, dot, inner, kernel, norm, parallel_kernel, row, scale, share
 
-NONE, LENGTH, NORMAL = range(3)
-"""What S is: nothing, I, or mmᵀ with the unit vector m that the element's memory begins with."""
+NONE, LINE, LENGTH, NORMAL = range(4)
+"""What S is: nothing; nothing, of gradients that are all along one line; or of such, too, I, or mmᵀ with the
+unit vector m that the element's memory begins with."""
 
 
 class Elements(NamedTuple):
@@ -40,9 +41,8 @@ class Elements(NamedTuple):
         new_memory: (e, ·) what it will remember of this one if it is accepted.
         tension: (e,) s.
         along: (e,) factor of g gᵀ in the matrix.
-        across: (e,) factor of (g·g) S in the matrix.
         weight: (e, k) w, where the kind has such: g_a = w_a n with one unit vector n.
-        tensor: (e, 6) then along nnᵀ + across S: xx, xy, xz, yy, yz, zz.
+        tensor: (e, 6) then along nnᵀ + across S: xx, xy, xz, yy, yz, zz; block(a, b) = w_a w_b times that.
     """
 
     nodes: np.ndarray
@@ -56,7 +56,6 @@ class Elements(NamedTuple):
     new_memory: np.ndarray
     tension: np.ndarray
     along: np.ndarray
-    across: np.ndarray
     weight: np.ndarray
     tensor: np.ndarray
 
@@ -73,6 +72,49 @@ def make_elements(nodes: np.ndarray, memory: int) -> Elements:
     arrays["weight"] = np.zeros((e, k))
     arrays["tensor"] = np.zeros((e, 6))
     return Elements(**arrays)
+
+
+class Pool(NamedTuple):
+    """What matrix and forces are made of, of all kinds' elements one after the other.
+
+    Attributes:
+        gradient: (s, 3), for the s nodes of all e elements.
+        weight: (s,).
+        tension: (e,).
+        along: (e,).
+        tensor: (e, 6).
+    """
+
+    gradient: np.ndarray
+    weight: np.ndarray
+    tension: np.ndarray
+    along: np.ndarray
+    tensor: np.ndarray
+
+
+def pooled(kinds: list[Elements]) -> tuple[Pool, list[Elements]]:
+    """A pool, and the elements of each of the `kinds` with their part of it for arrays of their own."""
+
+    def whole(name: str, *shape: int) -> np.ndarray:
+        parts = [getattr(e, name).reshape(-1, *shape) for e in kinds]
+        return np.concatenate([np.zeros((0, *shape)), *parts])
+
+    pool = Pool(whole("gradient", 3), whole("weight"), whole("tension"), whole("along"), whole("tensor", 6))
+    e = s = 0
+    shared = []
+    for own in kinds:
+        elements, nodes = slice(e, e + len(own.q)), slice(s, s + own.nodes.size)
+        shared.append(
+            own._replace(
+                gradient=pool.gradient[nodes].reshape(own.gradient.shape),
+                weight=pool.weight[nodes].reshape(own.nodes.shape),
+                tension=pool.tension[elements],
+                along=pool.along[elements],
+                tensor=pool.tensor[elements],
+            )
+        )
+        e, s = elements.stop, nodes.stop
+    return pool, shared
 
 
 @parallel_kernel
@@ -155,10 +197,7 @@ def _tense(elements, part, velocities):
 
 @parallel_kernel
 def set_matrix_factors(elements, h, bends):
-    """Fill along and across for an implicit step of h [s]; `bends` is one of NONE, LENGTH and NORMAL.
-
-    A kind that bends has all its gradients along one line: its weights and tensors are filled, too.
-    """
+    """Fill along for an implicit step of h [s], and weights and tensors unless S, `bends`, is NONE."""
     for chunk in numba.prange(CHUNKS):
         _set_factors(elements, share(chunk, len(elements.q)), h, bends)
 
@@ -167,15 +206,14 @@ def set_matrix_factors(elements, h, bends):
 def _set_factors(elements, part, h, bends):
     for e in range(part[0], part[1]):
         stiffness, transverse = elements.stiffness[e], 0.0
-        if bends != NONE and elements.q[e] > elements.rest[e]:
+        if bends in (LENGTH, NORMAL) and elements.q[e] > elements.rest[e]:
             transverse = stiffness * (1.0 - elements.rest[e] / elements.q[e])
         if bends == LENGTH:
             stiffness -= transverse
-        elements.across[e] = h * h * transverse
-        elements.along[e] = h * elements.damping[e] + h * h * stiffness
+        along, across = h * elements.damping[e] + h * h * stiffness, h * h * transverse
+        elements.along[e] = along
         if bends == NONE:
             continue
-        along, across = elements.along[e], elements.across[e]
         n = corner(elements.gradient, e, 0)
         length = norm(n)
         n = scale(1.0 / length if length > 0.0 else 0.0, n)

@@ -11,22 +11,23 @@ from sim.contact.contacts import Contacts, groups
 from sim.contact.gap import NO_GAP_SPRINGS, GapSprings
 from sim.damping import damping_ratios
 from sim.effects import SPRINGS
-from sim.elements import LENGTH, NONE, NORMAL, elastic_energy, linearise, set_damping
+from sim.elements import (
+    LENGTH,
+    LINE,
+    NONE,
+    NORMAL,
+    elastic_energy,
+    linearise,
+    pooled,
+    set_damping,
+    set_tension,
+)
 from sim.mesh import Mesh, vertex_masses
 from sim.settings import Settings
 from sim.solve.cg import make_workspace
 from sim.solve.coupling import uncoupled
 from sim.solve.preconditioner import build_preconditioner
-from sim.solve.system import (
-    Gather,
-    add_curvature,
-    add_elements,
-    add_forces,
-    build_system,
-    confine,
-    pull,
-    reset,
-)
+from sim.solve.system import add_curvature, add_forces, assemble, build_system, confine
 from sim.springs.build import Springs, build_springs, kinds_in_force
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Model:
         wind: The air, where it acts.
         costs: Milliseconds spent on each effect, added up.
         costs_below: The same of work that an effect shares with others.
+        pool: What matrix and forces are made of, and which of it goes where, `gather`.
         matrix: A, filled by `linearise`.
         coupling: What contacts add to A between vertices.
         preconditioner: of A, refreshed for each solve.
@@ -128,8 +130,12 @@ class Model:
         ]
         for springs in self.springs:
             springs.apply(self.settings)
-        stencils = [s.elements.nodes for s in self.springs]
-        self.matrix, self._gathers = build_system(len(self.masses), stencils)
+        self.pool, elements = pooled([s.elements for s in self.springs])
+        for springs, shared in zip(self.springs, elements, strict=True):
+            springs.elements = shared
+        tensors = [s.kind.bends != "none" for s in self.springs]
+        stencils = [e.nodes for e in elements]
+        self.matrix, self.gather = build_system(len(self.masses), stencils, tensors)
         self.preconditioner = build_preconditioner(self.mesh, self.free, self.matrix)
         self.coupling = uncoupled(len(self.masses))
         self.work = make_workspace(len(self.masses))
@@ -159,19 +165,23 @@ class Model:
         """
         self.measure(positions)
         self._weigh(self._forces)
-        reset(self.matrix, self.masses)
-        for springs, gather in self._acting():
-            begin, elements = perf_counter(), springs.elements
+        curved = []
+        for springs in self._acting():
+            begin, bends = perf_counter(), BENDS[springs.kind.bends]
             curvature = springs.curvature(positions) if exact else None
-            bends = NONE if curvature is not None else BENDS[springs.kind.bends]
-            fused = perf_counter()
-            linearise(elements, velocities, self.inverse_masses, self.damping_ratios, h, bends)
-            self._spent_with_damping(fused)
-            add_elements(elements, gather, bends, self.matrix)
             if curvature is not None:
-                add_curvature(elements, gather, curvature, h, self.matrix)
-            add_forces(elements, gather, self._forces)
+                curved.append((springs.elements, curvature))
+                bends = LINE if bends != NONE else NONE
+            fused = perf_counter()
+            linearise(springs.elements, velocities, self.inverse_masses, self.damping_ratios, h, bends)
+            self._spent_with_damping(fused)
             self._spent(SPRINGS[springs.kind.stiffness], begin)
+        begin = perf_counter()
+        assemble(self.pool, self.gather, self.masses, self.matrix)
+        for elements, curvature in curved:
+            add_curvature(elements, curvature, h, self.matrix)
+        add_forces(self.pool, self.gather, self._forces)
+        self._spent_on_all(begin)
         if self.wind is not None:
             begin = perf_counter()
             self.wind.measure(positions, velocities if lag is None else lag)
@@ -191,9 +201,9 @@ class Model:
         np.copyto(forces, self._weights)
         self._spent("gravity", begin)
 
-    def _acting(self) -> list[tuple[Springs, Gather]]:
-        """The springs that have some stiffness, and their gather lists."""
-        return [pair for pair in zip(self.springs, self._gathers, strict=True) if pair[0].acts]
+    def _acting(self) -> list[Springs]:
+        """The springs that have some stiffness."""
+        return [springs for springs in self.springs if springs.acts]
 
     def confined(self, vectors: np.ndarray) -> np.ndarray:
         """The part of `vectors` (n, 3) that can be moved along: zero where pinned, and along `axis`."""
@@ -242,12 +252,13 @@ class Model:
         self.measure(positions)
         self._weigh(forces)
         stored, taken = dict.fromkeys((springs.name for springs in self.springs), 0.0), {}
-        for springs, gather in self._acting():
+        for springs in self._acting():
             if anew:
                 begin = perf_counter()
                 set_damping(springs.elements, self.inverse_masses, self.damping_ratios)
                 self._spent_with_damping(begin)
-            stored[springs.name], taken[springs.name] = pull(springs.elements, gather, velocities, forces)
+            stored[springs.name], taken[springs.name] = set_tension(springs.elements, velocities)
+        add_forces(self.pool, self.gather, forces)
         self._know(positions, stored)
         blown = 0.0
         if self.wind is not None:
@@ -294,14 +305,21 @@ class Model:
 
     def measure(self, positions: np.ndarray) -> None:
         """Evaluate every spring's coordinate and gradient at `positions`."""
-        for springs, _ in self._acting():
+        for springs in self._acting():
             begin = perf_counter()
             springs.measure(positions)
             self._spent(SPRINGS[springs.kind.stiffness], begin)
 
-    def _spent(self, effect: str, begin: float) -> None:
-        """Book the time since `begin` for an effect."""
-        self.costs[effect] = self.costs.get(effect, 0.0) + 1e3 * (perf_counter() - begin)
+    def _spent(self, effect: str, begin: float, part: float = 1.0) -> None:
+        """Book the time since `begin`, or a part of it, for an effect."""
+        self.costs[effect] = self.costs.get(effect, 0.0) + part * 1e3 * (perf_counter() - begin)
+
+    def _spent_on_all(self, begin: float) -> None:
+        """Book the time since `begin` for the springs that act, by how many blocks each kind adds to."""
+        acting = self._acting()
+        blocks = [s.elements.nodes.size * (s.elements.nodes.shape[1] + 1) for s in acting]
+        for springs, own in zip(acting, blocks, strict=True):
+            self._spent(SPRINGS[springs.kind.stiffness], begin, own / sum(blocks))
 
     def _spent_with_damping(self, begin: float) -> None:
         """Book the time since `begin` as more than damping takes: forces are made in the same pass."""
@@ -329,7 +347,7 @@ class Model:
 
     def choose(self) -> tuple[int, float]:
         """Let each kind choose, from what was last measured, which of its elements act; as `remember`."""
-        changes = [springs.choose(self.settings) for springs, _ in self._acting()]
+        changes = [springs.choose(self.settings) for springs in self._acting()]
         if count := sum(count for count, _ in changes):
             self._known = None
         return count, sum(energy for _, energy in changes)

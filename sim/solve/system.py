@@ -1,8 +1,10 @@
 """The linear system A = M + h D + h² H as 3 × 3 blocks, assembled by gathering.
 
 Which vertices are coupled depends on the stencils only, so it is worked out once per set of spring kinds.
-Each block of A then *gathers* what the elements add to it, in a fixed order: no two threads write the same
-number, and the sum is the same to the bit for any number of threads.
+Each block of A then *gathers* what the elements of all kinds add to it, in a fixed order: no two threads
+write the same number, and the sum is the same to the bit for any number of threads. Rows are filled one after
+the other, and blocks left of the diagonal are copied from their transposes in a second pass: written at once
+with them, out of turn, they would wait for memory where A is larger than the caches.
 """
 
 from __future__ import annotations
@@ -14,18 +16,18 @@ import numpy as np
 
 from sim.compiled import (
     CHUNKS,
-    corner,
     even_shares,
     indices,
     inner,
     kernel,
     offsets,
     parallel_kernel,
+    put,
+    row,
     scale,
-    share,
+    sub,
 )
-from sim.elements import NONE, set_tension
-from sim.solve.graph import Graph, symmetric
+from sim.solve.graph import Graph, starts, symmetric
 
 
 class Matrix(NamedTuple):
@@ -45,42 +47,89 @@ class Matrix(NamedTuple):
 
 
 class Gather(NamedTuple):
-    """What the elements of one kind add, and where.
+    """What the elements in a pool add, and where.
+
+    Targets are the blocks on the diagonal and right of it, row after row, each row's diagonal one first.
 
     Attributes:
-        first: (n + p + 1,) where each target's contributions start: first the n vertices, then the p
-            coupled pairs.
-        shares: (CHUNKS + 1,) targets split so that every part has about as many contributions.
+        row: (n + 1,) where each row's targets start.
+        place: (t,) index in Matrix.block of each target, −1 − i for the diagonal block of vertex i.
+        first: (t + 1,) where each target's contributions start.
+        middle: (t,) where those start that come without a tensor.
         element: (c,) element of each contribution.
-        a: (c,) its node that stands for the target's row.
-        b: (c,) its node that stands for the target's column.
-        upper: (p,) index in Matrix.block of each pair's block.
-        lower: (p,) and of its transpose.
+        a: (c,) place in the pool of its node that stands for the target's row.
+        b: (c,) and of that for the target's column.
+        mirror: (b,) for each block left of the diagonal, its transpose.
+        shares: (CHUNKS + 1,) rows split so that every part has about as many contributions.
     """
 
+    row: np.ndarray
+    place: np.ndarray
     first: np.ndarray
-    shares: np.ndarray
+    middle: np.ndarray
     element: np.ndarray
     a: np.ndarray
     b: np.ndarray
-    upper: np.ndarray
-    lower: np.ndarray
+    mirror: np.ndarray
+    shares: np.ndarray
 
 
-def build_system(n: int, stencils: list[np.ndarray]) -> tuple[Matrix, list[Gather]]:
-    """A zero matrix that couples n vertices as the (e, k) `stencils` do, and each one's gather lists."""
-    parts = [_contributions(nodes.astype(np.int64), n) for nodes in stencils]
-    pairs = np.unique(np.concatenate([key[key >= n] for key, *_ in parts] or [np.zeros(0, np.int64)]))
-    i, j = np.divmod(pairs - n, n)
-    graph, upper, lower = symmetric(i, j, n)
+def build_system(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tuple[Matrix, Gather]:
+    """A zero matrix that couples n vertices as elements do, and the lists to fill it by.
+
+    Args:
+        n: Vertices.
+        stencils: (e, k) nodes of the elements of each kind, as they follow each other in a pool.
+        tensors: Which kinds have tensors.
+    """
+    key, element, a, b, bare = _contributions(n, stencils, tensors)
+    targets = np.unique(np.concatenate([key, np.arange(n) * (n + 1)]))
+    i, j = np.divmod(targets, n)
+    above = i < j
+    graph, upper, lower = symmetric(i[above], j[above], n)
     matrix = Matrix(
         diagonal=np.zeros((n, 3, 3)),
         first=offsets(graph.first),
         column=indices(graph.column),
         block=np.zeros((len(graph.column), 3, 3)),
     )
-    targets = np.concatenate([np.arange(n), pairs])
-    return matrix, [_gather(part, targets, indices(upper), indices(lower)) for part in parts]
+    place = -1 - i
+    place[above] = upper
+    mirror = np.zeros(len(graph.column), dtype=np.int64)
+    mirror[lower] = upper
+    order = np.lexsort((element, bare, key))
+    target = np.searchsorted(targets, key[order])
+    row, first = starts(i, n), starts(target, len(targets))
+    return matrix, Gather(
+        row=offsets(row),
+        place=place.astype(np.int32),
+        first=offsets(first),
+        middle=offsets(first[:-1] + np.bincount(target[~bare[order]], minlength=len(targets))),
+        element=indices(element[order]),
+        a=indices(a[order]),
+        b=indices(b[order]),
+        mirror=indices(mirror),
+        shares=even_shares(first[row]),
+    )
+
+
+def _contributions(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tuple[np.ndarray, ...]:
+    """Key i n + j of the block i ≤ j, element, both places in the pool, and whether there is no tensor."""
+    none = np.zeros(0, dtype=np.int64)
+    found = [(none, none, none, none, none.astype(bool))]
+    elements = places = 0
+    for nodes, tensor in zip(stencils, tensors, strict=True):
+        e, k = nodes.shape
+        element, wide = np.arange(e), nodes.astype(np.int64)
+        for p in range(k):
+            for q in range(p, k):
+                flip = wide[:, p] > wide[:, q]
+                low, high = np.where(flip, q, p), np.where(flip, p, q)
+                key = wide[element, low] * n + wide[element, high]
+                start, bare = places + k * element, np.full(e, not tensor)
+                found.append((key, elements + element, start + low, start + high, bare))
+        elements, places = elements + e, places + e * k
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
 
 def pattern(matrix: Matrix) -> Graph:
@@ -88,151 +137,102 @@ def pattern(matrix: Matrix) -> Graph:
     return Graph(matrix.first.astype(np.int64), matrix.column.astype(np.int64))
 
 
-def _contributions(nodes: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
-    """(key, element, a, b) of every block that elements touch: key i for vertex i, n + i n + j for i < j."""
-    e, k = nodes.shape
-    found = []
-    for a in range(k):
-        found.append((nodes[:, a], np.arange(e), a, a))
-        for b in range(a + 1, k):
-            low, high = np.minimum(nodes[:, a], nodes[:, b]), np.maximum(nodes[:, a], nodes[:, b])
-            flip = nodes[:, a] > nodes[:, b]
-            found.append((n + low * n + high, np.arange(e), np.where(flip, b, a), np.where(flip, a, b)))
-    columns = zip(*((key, element, a + 0 * key, b + 0 * key) for key, element, a, b in found), strict=True)
-    return tuple(np.concatenate(column) for column in columns)
-
-
-def _gather(
-    part: tuple[np.ndarray, ...], targets: np.ndarray, upper: np.ndarray, lower: np.ndarray
-) -> Gather:
-    key, element, a, b = part
-    order = np.lexsort((element, key))
-    first = np.append(np.searchsorted(key[order], targets), len(key))
-    return Gather(
-        first=offsets(first),
-        shares=even_shares(first),
-        element=indices(element[order]),
-        a=a[order].astype(np.uint8),
-        b=b[order].astype(np.uint8),
-        upper=upper,
-        lower=lower,
-    )
-
-
 @parallel_kernel
-def reset(matrix, masses):
-    """Set the matrix to the masses (n,) [kg] alone."""
+def assemble(pool, gather, masses, matrix):
+    """Fill the matrix with the masses (n,) [kg] and what every element adds, as `sim.elements` has it."""
     for chunk in numba.prange(CHUNKS):
-        _reset_rows(matrix, share(chunk, len(masses)), masses)
+        _fill_rows(pool, gather, masses, matrix, gather.shares[chunk], gather.shares[chunk + 1])
+    for chunk in numba.prange(CHUNKS):
+        _mirror_rows(gather, matrix, gather.shares[chunk], gather.shares[chunk + 1])
 
 
 @inner
-def _reset_rows(matrix, part, masses):
-    for i in range(part[0], part[1]):
-        for r in range(3):
-            for c in range(3):
-                matrix.diagonal[i, r, c] = masses[i] if r == c else 0.0
+def _fill_rows(pool, gather, masses, matrix, begin, end):
+    """Fill the blocks on the diagonal and right of it of the rows from `begin` to `end`."""
+    weight, tensor, gradient, along = pool.weight, pool.tensor, pool.gradient, pool.along
+    for target in range(gather.row[begin], gather.row[end]):
+        place, middle = gather.place[target], gather.middle[target]
+        mass = masses[-1 - place] if place < 0 else 0.0
+        xx, xy, xz, yy, yz, zz = mass, 0.0, 0.0, mass, 0.0, mass
+        for c in range(gather.first[target], middle):
+            e, w = gather.element[c], weight[gather.a[c]] * weight[gather.b[c]]
+            xx += w * tensor[e, 0]
+            xy += w * tensor[e, 1]
+            xz += w * tensor[e, 2]
+            yy += w * tensor[e, 3]
+            yz += w * tensor[e, 4]
+            zz += w * tensor[e, 5]
+        yx, zx, zy = xy, xz, yz
+        for c in range(middle, gather.first[target + 1]):
+            g, k = scale(along[gather.element[c]], row(gradient, gather.a[c])), row(gradient, gather.b[c])
+            xx += g.x * k.x
+            xy += g.x * k.y
+            xz += g.x * k.z
+            yx += g.y * k.x
+            yy += g.y * k.y
+            yz += g.y * k.z
+            zx += g.z * k.x
+            zy += g.z * k.y
+            zz += g.z * k.z
+        if place < 0:
+            _put(matrix.diagonal, -1 - place, xx, xy, xz, yx, yy, yz, zx, zy, zz)
+        else:
+            _put(matrix.block, place, xx, xy, xz, yx, yy, yz, zx, zy, zz)
+
+
+@inner
+def _put(blocks, p, xx, xy, xz, yx, yy, yz, zx, zy, zz):
+    blocks[p, 0, 0], blocks[p, 0, 1], blocks[p, 0, 2] = xx, xy, xz
+    blocks[p, 1, 0], blocks[p, 1, 1], blocks[p, 1, 2] = yx, yy, yz
+    blocks[p, 2, 0], blocks[p, 2, 1], blocks[p, 2, 2] = zx, zy, zz
+
+
+@inner
+def _mirror_rows(gather, matrix, begin, end):
+    """Fill the blocks left of the diagonal of the rows from `begin` to `end`."""
+    b = matrix.block
+    for i in range(begin, end):
         for p in range(matrix.first[i], matrix.first[i + 1]):
-            for r in range(3):
-                for c in range(3):
-                    matrix.block[p, r, c] = 0.0
+            if matrix.column[p] > i:
+                break
+            q = gather.mirror[p]
+            xs, ys, zs = row(b[q], 0), row(b[q], 1), row(b[q], 2)
+            _put(b, p, xs.x, ys.x, zs.x, xs.y, ys.y, zs.y, xs.z, ys.z, zs.z)
+
+
+@kernel
+def add_curvature(elements, curvature, h, matrix):
+    """Add h² K (q − q0) ∇²q of every element to the matrix, from its `curvature` (e, 3 k, 3 k)."""
+    k = elements.nodes.shape[1]
+    for e in range(len(elements.q)):
+        tension = h * h * elements.stiffness[e] * (elements.q[e] - elements.rest[e])
+        for a in range(k):
+            i = elements.nodes[e, a]
+            begin, end = matrix.first[i], matrix.first[i + 1]
+            for b in range(k):
+                j = elements.nodes[e, b]
+                blocks, p = matrix.diagonal, np.int64(i)
+                if i != j:
+                    blocks, p = matrix.block, np.int64(begin) + np.searchsorted(matrix.column[begin:end], j)
+                for r in range(3):
+                    for s in range(3):
+                        blocks[p, r, s] += tension * curvature[e, 3 * a + r, 3 * b + s]
 
 
 @parallel_kernel
-def add_elements(elements, gather, bends, matrix):
-    """Add along g_a g_bᵀ + across (g_a·g_b) S of every element to the matrix; S as in `sim.elements`."""
-    n = len(matrix.diagonal)
+def add_forces(pool, gather, forces):
+    """Add −s g_a of every element to `forces` (n, 3) [N]."""
     for chunk in numba.prange(CHUNKS):
-        for target in range(gather.shares[chunk], gather.shares[chunk + 1]):
-            if gather.first[target] == gather.first[target + 1]:
-                continue  # coupled by other kinds only
-            xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
-            if bends != NONE:
-                for c in range(gather.first[target], gather.first[target + 1]):
-                    e = gather.element[c]
-                    w = elements.weight[e, gather.a[c]] * elements.weight[e, gather.b[c]]
-                    xx += w * elements.tensor[e, 0]
-                    xy += w * elements.tensor[e, 1]
-                    xz += w * elements.tensor[e, 2]
-                    yy += w * elements.tensor[e, 3]
-                    yz += w * elements.tensor[e, 4]
-                    zz += w * elements.tensor[e, 5]
-                yx, zx, zy = xy, xz, yz
-            else:
-                for c in range(gather.first[target], gather.first[target + 1]):
-                    e = gather.element[c]
-                    g = scale(elements.along[e], corner(elements.gradient, e, gather.a[c]))
-                    k = corner(elements.gradient, e, gather.b[c])
-                    xx += g.x * k.x
-                    xy += g.x * k.y
-                    xz += g.x * k.z
-                    yx += g.y * k.x
-                    yy += g.y * k.y
-                    yz += g.y * k.z
-                    zx += g.z * k.x
-                    zy += g.z * k.y
-                    zz += g.z * k.z
-            if target < n:
-                _add(matrix.diagonal, target, xx, xy, xz, yx, yy, yz, zx, zy, zz)
-            else:
-                _add(matrix.block, gather.upper[target - n], xx, xy, xz, yx, yy, yz, zx, zy, zz)
-                _add(matrix.block, gather.lower[target - n], xx, yx, zx, xy, yy, zy, xz, yz, zz)
+        _add_to_rows(pool, gather, forces, gather.shares[chunk], gather.shares[chunk + 1])
 
 
 @inner
-def _add(blocks, p, xx, xy, xz, yx, yy, yz, zx, zy, zz):
-    blocks[p, 0, 0] += xx
-    blocks[p, 0, 1] += xy
-    blocks[p, 0, 2] += xz
-    blocks[p, 1, 0] += yx
-    blocks[p, 1, 1] += yy
-    blocks[p, 1, 2] += yz
-    blocks[p, 2, 0] += zx
-    blocks[p, 2, 1] += zy
-    blocks[p, 2, 2] += zz
-
-
-@kernel
-def add_curvature(elements, gather, curvature, h, matrix):
-    """Add h² K (q − q0) ∇²q of every element to the matrix, from its `curvature` (e, 3 k, 3 k)."""
-    n = len(matrix.diagonal)
-    for target in range(len(gather.first) - 1):
-        for c in range(gather.first[target], gather.first[target + 1]):
-            e = gather.element[c]
-            a, b = 3 * np.int64(gather.a[c]), 3 * np.int64(gather.b[c])
-            tension = h * h * elements.stiffness[e] * (elements.q[e] - elements.rest[e])
-            for r in range(3):
-                for s in range(3):
-                    value = tension * curvature[e, a + r, b + s]
-                    if target < n:
-                        matrix.diagonal[target, r, s] += value
-                    else:
-                        matrix.block[gather.upper[target - n], r, s] += value
-                        matrix.block[gather.lower[target - n], s, r] += value
-
-
-@parallel_kernel
-def add_forces(elements, gather, forces):
-    """Add −s g_a of every element to `forces` (n, 3) [N]."""
-    for i in numba.prange(len(forces)):
-        x = y = z = 0.0
-        for c in range(gather.first[i], gather.first[i + 1]):
-            e, a = gather.element[c], gather.a[c]
-            tension = elements.tension[e]
-            x += tension * elements.gradient[e, a, 0]
-            y += tension * elements.gradient[e, a, 1]
-            z += tension * elements.gradient[e, a, 2]
-        forces[i, 0] -= x
-        forces[i, 1] -= y
-        forces[i, 2] -= z
-
-
-@kernel
-def pull(elements, gather, velocities, forces):
-    """Do `set_tension` and `add_forces` in one call, and return what the former does."""
-    sums = set_tension(elements, velocities)
-    add_forces(elements, gather, forces)
-    return sums
+def _add_to_rows(pool, gather, forces, begin, end):
+    for i in range(begin, end):
+        force, own = row(forces, i), gather.row[i]
+        for c in range(gather.first[own], gather.first[own + 1]):
+            force = sub(force, scale(pool.tension[gather.element[c]], row(pool.gradient, gather.a[c])))
+        put(forces, i, force)
 
 
 @kernel

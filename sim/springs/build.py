@@ -92,7 +92,8 @@ class Springs:
     def apply(self, settings: Settings) -> None:
         """Set coordinate, stiffness and rest values for `settings`."""
         if not getattr(settings, self.kind.stiffness) > 0.0:
-            for array in (self.elements.damping, self.elements.tension):
+            e = self.elements
+            for array in (e.damping, e.tension, e.along, e.tensor):
                 array[:] = 0.0  # what nobody sets any more
         coordinate = kernel_of(self.kind, settings)
         if coordinate is not self.coordinate:

@@ -101,12 +101,10 @@ class Stage:
     """A sheet that swings, its matrix filled and its preconditioner fresh, and vectors to play with.
 
     Attributes:
-        gathers: Of each kind of springs in force.
         r, x, y: (n, 3), zero on pinned vertices.
     """
 
     world: sim.Simulation
-    gathers: list[Any]
     r: np.ndarray
     x: np.ndarray
     y: np.ndarray
@@ -136,7 +134,7 @@ def set_stage(side: int) -> Stage:
     own.linearise(world.positions.copy(), world.velocities.copy(), NO_GAP_SPRINGS, h)
     preconditioner.refresh(own.preconditioner, own.matrix)
     vectors = np.random.default_rng(0).standard_normal((3, *world.positions.shape)) * own.free[:, None]
-    return Stage(world, own._gathers, *vectors)
+    return Stage(world, *vectors)
 
 
 def fields(arrays, *names) -> list[np.ndarray]:
@@ -147,11 +145,6 @@ def fields(arrays, *names) -> list[np.ndarray]:
 def of_all(stage, *names) -> list[np.ndarray]:
     """The arrays of these names, of all kinds of springs."""
     return [array for s in stage.springs for array in fields(s.elements, *names)]
-
-
-def reset(stage):
-    matrix, masses = stage.model.matrix, stage.model.masses
-    return Kernel(lambda: system.reset(matrix, masses), [masses], fields(matrix, "diagonal", "block"), [])
 
 
 def measure(name):
@@ -196,7 +189,7 @@ def set_matrix_factors(stage):
         for s in stage.springs:
             elements.set_matrix_factors(s.elements, h, model.BENDS[s.kind.bends])
 
-    read, written = of_all(stage, "rest", "stiffness", "damping", "q"), of_all(stage, "along", "across")
+    read, written = of_all(stage, "rest", "stiffness", "damping", "q"), of_all(stage, "along")
     for s in stage.springs:
         if s.kind.bends != "none":
             read += fields(s.elements, "gradient")
@@ -206,33 +199,25 @@ def set_matrix_factors(stage):
     return Kernel(run, read, written, [])
 
 
-def add_elements(stage):
-    matrix = stage.model.matrix
-
-    def run():
-        for s, gather in zip(stage.springs, stage.gathers, strict=True):
-            system.add_elements(s.elements, gather, model.BENDS[s.kind.bends], matrix)
-
-    read = [array for gather in stage.gathers for array in gather]
+def assemble(stage):
+    own, pool, gather = stage.model, stage.model.pool, stage.model.gather
+    read = [own.masses, *fields(gather, "row", "place", "first", "middle", "element", "a", "b")]
+    read.append(gather.mirror[: len(gather.mirror) // 2])  # those of blocks left of the diagonal
     for s in stage.springs:
         read += fields(
             s.elements, *(("along", "gradient") if s.kind.bends == "none" else ("weight", "tensor"))
         )
-    return Kernel(run, read, [], fields(matrix, "diagonal", "block"))
+    written = fields(own.matrix, "diagonal", "block")
+    return Kernel(lambda: system.assemble(pool, gather, own.masses, own.matrix), read, written, [])
 
 
 def add_forces(stage):
-    n, forces = len(stage.x), np.zeros_like(stage.x)
-
-    def run():
-        for s, gather in zip(stage.springs, stage.gathers, strict=True):
-            system.add_forces(s.elements, gather, forces)
-
-    read = of_all(stage, "tension", "gradient")
-    for gather in stage.gathers:  # the targets that are vertices come first
-        count = int(gather.first[n])
-        read += [gather.first[: n + 1], gather.element[:count], gather.a[:count]]
-    return Kernel(run, read, [], [forces])
+    pool, gather, forces = stage.model.pool, stage.model.gather, np.zeros_like(stage.x)
+    own = gather.row[:-1]
+    count = int((gather.first[own + 1] - gather.first[own]).sum())  # those of diagonal blocks
+    read = [pool.tension, pool.gradient, gather.row, gather.first[own]]
+    read += [gather.element[:count], gather.a[:count]]
+    return Kernel(lambda: system.add_forces(pool, gather, forces), read, [], [forces])
 
 
 def refresh(stage):
@@ -281,12 +266,11 @@ def turn(stage):
 
 
 KERNELS: dict[str, Callable[[Stage], Kernel]] = {
-    "reset": reset,
     **{f"measure {name}": measure(name) for name in ("edge", "altitude", "cross", "modified", "angle")},
     "set damping": set_damping,
     "set tension": set_tension,
     "set matrix factors": set_matrix_factors,
-    "add elements": add_elements,
+    "assemble": assemble,
     "add forces": add_forces,
     "refresh": refresh,
     "multiply": multiply,
