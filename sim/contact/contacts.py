@@ -81,10 +81,14 @@ class Contacts(NamedTuple):
 
     def only(self, which: np.ndarray | slice) -> Contacts:
         """Those of them that the mask or the indices `which` pick."""
+        if not len(self.key):
+            return self
         return Contacts(*(array[which] for array in self))
 
     def joins(self, label: np.ndarray) -> np.ndarray:
         """(k, 2) each two labels, out of those of the vertices (n,), that a contact joins."""
+        if not len(self.key):
+            return np.zeros((0, 2), dtype=label.dtype)
         acts = self.weight != 0.0
         own = label[self.node[np.arange(len(self.node)), acts.argmax(axis=1)]]
         across = acts & (label[self.node] != own[:, None])
@@ -206,6 +210,8 @@ def touch(keys: np.ndarray, pressed: np.ndarray, slip: np.ndarray, h: float) -> 
 
     Where a pair has several contacts, that is the sum of what they pressed by and the largest slip.
     """
+    if not len(keys):
+        return UNTOUCHED._replace(lasted=np.array(h))
     unique, place = np.unique(keys, return_inverse=True)
     most = np.zeros(len(unique))
     np.maximum.at(most, place, slip)

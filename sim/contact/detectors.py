@@ -86,6 +86,12 @@ class Detectors:
         """Keys of the contacts that moved nothing, as all that they are with sleeps."""
         return np.concatenate(self._resting) if self._resting else np.zeros(0, dtype=np.int64)
 
+    def idle(self, settings: Settings) -> bool:
+        """Whether there is nothing that cloth could touch."""
+        return settings.contact == "none" or (
+            self.pairs is None and not self._obstacles.felt(settings).which.any()
+        )
+
     def at_start(self, way: Way) -> Contacts:
         """Pairs, and faces and obstacles, that are nearer than they should be where the way starts."""
         s, report, near = way.settings, way.report, NO_CONTACTS

@@ -217,6 +217,8 @@ class Pipeline:
         """
         s, response, report, h = way.settings, way.response, way.report, way.settings.dt
         way.over = way.touched.over
+        if self._detectors.idle(s):
+            return self._solved_unfelt(way), UNTOUCHED._replace(over=way.over)
         if response is not None and response.projects:
             return self._projected(way)
         fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
@@ -256,15 +258,20 @@ class Pipeline:
         with report.phase("respond"):
             return self._respond(way, contacts, solution)
 
+    @staticmethod
+    def _solved_unfelt(way: Way) -> Solution:
+        """Where a step leads that feels no contact."""
+        with way.report.phase("solve"):
+            solution = way.solve(NO_GAP_SPRINGS, way.settings, way.x, way.v, None)
+        way.report.iterations += solution.iterations
+        return solution
+
     def _unfelt(self, way: Way) -> tuple[Solution, Touch] | None:
         """Take a step that feels no contact and hold back what meets; None where halves might do better.
 
         For where contacts ask for what only a throw could do, however short the step.
         """
-        report = way.report
-        with report.phase("solve"):
-            solution = way.solve(NO_GAP_SPRINGS, way.settings, way.x, way.v, None)
-        report.iterations += solution.iterations
+        solution = self._solved_unfelt(way)
         way.part.respond_anew()
         resort = self._detectors.last_resort(way)
         if not self._held_back(resort, way, solution.positions, solution.velocities):
@@ -295,14 +302,11 @@ class Pipeline:
 
     def _led_into(self, way: Way) -> tuple[Solution, Way, Contacts, Contacts]:
         """A step that feels nothing, the way on which it is seen, and what pairs and vertices it led into."""
-        report, look = way.report, self._detectors
-        with report.phase("solve"):
-            solution = way.solve(NO_GAP_SPRINGS, way.settings, way.x, way.v, None)
-        report.iterations += solution.iterations
+        solution, look = self._solved_unfelt(way), self._detectors
         x = solution.positions
         if not np.isfinite(x).all():
             return solution, way, NO_CONTACTS, NO_CONTACTS
-        with report.phase("detect"):
+        with way.report.phase("detect"):
             static = replace(way, before=way.after, x=x)
             seen, hits = static, NO_CONTACTS
             if way.settings.detection == "continuous":

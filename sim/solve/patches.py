@@ -126,7 +126,8 @@ def _rows(start, m, origin):
 def _eliminate(u, start, m, origin):
     """Take the three rows of a vertex out of those after them that they reach."""
     rows, width = _rows(start, m, origin)
-    a, b, c = u[rows : rows + width], u[rows + width : rows + 2 * width], u[rows + 2 * width :]
+    a, b = u[rows : rows + width], u[rows + width : rows + 2 * width]
+    c = u[rows + 2 * width : rows + 3 * width]
     in_a = _reciprocal(a[0])
     on_b, on_c = a[1] * in_a, a[2] * in_a
     for j in range(1, width):
@@ -137,15 +138,16 @@ def _eliminate(u, start, m, origin):
     for j in range(2, width):
         c[j] -= on_c * b[j]
     in_c = _reciprocal(c[2])
-    for i in range(3, width):
-        on_a, on_b, on_c = a[i] * in_a, b[i] * in_b, c[i] * in_c
-        later, first = m + i // 3, i - i % 3
-        there, long = _rows(start, later, origin)
-        there += (i - first) * long
-        below = u[there : there + long]
-        right_a, right_b, right_c = a[first:], b[first:], c[first:]
-        for j in range(len(right_a)):
-            below[j] -= on_a * right_a[j] + on_b * right_b[j] + on_c * right_c[j]
+    for later in range(1, width // 3):
+        there, long = _rows(start, m + later, origin)
+        right = width - 3 * later
+        right_a, right_b, right_c = a[3 * later :], b[3 * later :], c[3 * later :]
+        for r in range(3):
+            on_a, on_b, on_c = right_a[r] * in_a, right_b[r] * in_b, right_c[r] * in_c
+            below = u[there : there + right]
+            for j in range(right):
+                below[j] -= on_a * right_a[j] + on_b * right_b[j] + on_c * right_c[j]
+            there += long
     for j in range(1, width):
         a[j] *= in_a
         b[j] *= in_b
