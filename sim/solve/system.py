@@ -97,7 +97,7 @@ def build_system(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tup
     place[above] = upper
     mirror = np.zeros(len(graph.column), dtype=np.int64)
     mirror[lower] = upper
-    order = np.lexsort((element, bare, key))
+    order = np.argsort(2 * key + bare, kind="stable")
     target = np.searchsorted(targets, key[order])
     row, first = starts(i, n), starts(target, len(targets))
     return matrix, Gather(
@@ -105,29 +105,37 @@ def build_system(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tup
         place=place.astype(np.int32),
         first=offsets(first),
         middle=offsets(first[:-1] + np.bincount(target[~bare[order]], minlength=len(targets))),
-        element=indices(element[order]),
-        a=indices(a[order]),
-        b=indices(b[order]),
+        element=element[order],
+        a=a[order],
+        b=b[order],
         mirror=indices(mirror),
         shares=even_shares(first[row]),
     )
 
 
 def _contributions(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tuple[np.ndarray, ...]:
-    """Key i n + j of the block i ≤ j, element, both places in the pool, and whether there is no tensor."""
-    none = np.zeros(0, dtype=np.int64)
-    found = [(none, none, none, none, none.astype(bool))]
+    """Key i n + j of the block i ≤ j, element, both places in the pool, and whether there is no tensor.
+
+    They are in the order of the elements.
+    """
+    none = np.zeros(0, dtype=np.uint32)
+    found: list[tuple[np.ndarray, ...]] = [(none.astype(np.int64), none, none, none, none.astype(bool))]
     elements = places = 0
     for nodes, tensor in zip(stencils, tensors, strict=True):
         e, k = nodes.shape
-        element, wide = np.arange(e), nodes.astype(np.int64)
-        for p in range(k):
-            for q in range(p, k):
-                flip = wide[:, p] > wide[:, q]
-                low, high = np.where(flip, q, p), np.where(flip, p, q)
-                key = wide[element, low] * n + wide[element, high]
-                start, bare = places + k * element, np.full(e, not tensor)
-                found.append((key, elements + element, start + low, start + high, bare))
+        p, q = np.triu_indices(k)
+        ends = nodes[:, p].astype(np.int64), nodes[:, q].astype(np.int64)
+        flip = ends[0] > ends[1]
+        element = np.arange(e)[:, None]
+        start = places + k * element
+        rows = (
+            np.minimum(*ends) * n + np.maximum(*ends),
+            indices(np.broadcast_to(elements + element, flip.shape)),
+            indices(start + np.where(flip, q, p)),
+            indices(start + np.where(flip, p, q)),
+            np.full(flip.shape, not tensor),
+        )
+        found.append(tuple(row.ravel() for row in rows))
         elements, places = elements + e, places + e * k
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
