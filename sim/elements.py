@@ -93,11 +93,10 @@ class Pool(NamedTuple):
 
 
 def pooled(kinds: list[Elements]) -> tuple[Pool, list[Elements]]:
-    """A pool, and the elements of each of the `kinds` with their part of it for arrays of their own."""
+    """A pool, and the elements of each of the `kinds`, one or more, with their part of it for arrays."""
 
     def whole(name: str, *shape: int) -> np.ndarray:
-        parts = [getattr(e, name).reshape(-1, *shape) for e in kinds]
-        return np.concatenate([np.zeros((0, *shape)), *parts])
+        return np.concatenate([getattr(e, name).reshape(-1, *shape) for e in kinds])
 
     pool = Pool(whole("gradient", 3), whole("weight"), whole("tension"), whole("along"), whole("tensor", 6))
     e = s = 0

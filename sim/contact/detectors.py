@@ -88,15 +88,11 @@ class Detectors:
 
     def idle(self, settings: Settings) -> bool:
         """Whether there is nothing that cloth could touch."""
-        return settings.contact == "none" or (
-            self.pairs is None and not self._obstacles.felt(settings).which.any()
-        )
+        return self.pairs is None and not self._obstacles.felt(settings).which.any()
 
     def at_start(self, way: Way) -> Contacts:
         """Pairs, and faces and obstacles, that are nearer than they should be where the way starts."""
         s, report, near = way.settings, way.report, NO_CONTACTS
-        if s.contact == "none":
-            return near
         if (pairs := self.pairs) is not None:
             begin = perf_counter()
             before, after = (self._obstacles.corners(p, pairs.solid) for p in (way.before, way.after))
@@ -112,7 +108,7 @@ class Detectors:
 
     def on_the_way(self, way: Way, end: np.ndarray, part: float = 1.0) -> Contacts:
         """Pairs, and faces and obstacles, that meet on the way to `end`, to a `part` of the usual gap."""
-        if way.settings.contact == "none" or way.settings.detection == "static":
+        if way.settings.detection == "static":
             return NO_CONTACTS
         report, pairs = way.report, self.pairs
         listed = 0.0 if pairs is None else pairs.listing

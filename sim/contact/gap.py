@@ -207,7 +207,7 @@ NO_GAP_SPRINGS = GapSprings(
 
 
 def gap_springs(
-    response: Response | None,
+    response: Response,
     contacts: Contacts,
     pairs: int,
     inverse_masses: np.ndarray,
@@ -226,7 +226,7 @@ def gap_springs(
     cloth that hangs off the edge of an obstacle would be pulled to it first, each step anew.
 
     Args:
-        response: Which response; none has no springs.
+        response: Which response.
         contacts: What detection found, those between vertices first.
         pairs: How many of them are between vertices.
         inverse_masses: (n,) [1/kg].
@@ -237,7 +237,7 @@ def gap_springs(
         slip: (c,) slip expected after that step, zero for a new contact [m/s].
         settings: dt, friction and newton are read.
     """
-    if response is None or not len(contacts.key):
+    if not len(contacts.key):
         return NO_GAP_SPRINGS
     h, mass = settings.dt, contacts.masses(inverse_masses)
     lack = lacks(response, contacts, predicted, h)

@@ -217,9 +217,9 @@ class Pipeline:
         """
         s, response, report, h = way.settings, way.response, way.report, way.settings.dt
         way.over = way.touched.over
-        if self._detectors.idle(s):
+        if response is None or self._detectors.idle(s):
             return self._solved_unfelt(way), UNTOUCHED._replace(over=way.over)
-        if response is not None and response.projects:
+        if response.projects:
             return self._projected(way)
         fall = self._model.confined(np.broadcast_to(h * np.asarray(s.gravity), way.x.shape))
         end = way.x + h * (way.v + fall)
@@ -233,19 +233,18 @@ class Pipeline:
         while True:
             with report.phase("detect"):
                 found = self._fitted(near, look.of_vertices(way, end), end, report)
-                springs = self._gap_springs(way, len(near.key), found, end)
+                springs = self._gap_springs(way, response, len(near.key), found, end)
             with report.phase("solve"):
                 solution = way.solve(springs, s, way.x, way.v, way.guess)
             way.springs, way.guess = springs, solution.velocities
             with report.phase("detect"):
                 x = solution.positions
                 contacts = self._fitted(near, look.of_vertices(way, x), x, report)
-                if response is not None:
-                    lack = (lacks(response, c, x, h) for c in (contacts, springs.contacts))
-                    contacts = contacts.or_else(springs.contacts, *lack)
-                late = self._late(way, contacts.only(slice(len(near.key), None)), x)
+                lack = (lacks(response, c, x, h) for c in (contacts, springs.contacts))
+                contacts = contacts.or_else(springs.contacts, *lack)
+                late = self._late(way, response, contacts.only(slice(len(near.key), None)), x)
                 hits = NO_CONTACTS
-                if response is not None and not (response.impulses and s.newton == 1):  # those, impulses stop
+                if not (response.impulses and s.newton == 1):  # those, impulses stop
                     hits = look.on_the_way(way, x)
                     hits = hits.only(~np.isin(hits.key, near.key))
             solves, report.iterations = solves + 1, report.iterations + solution.iterations
@@ -256,7 +255,7 @@ class Pipeline:
             end[node] = x[node]
             near = near.and_also(hits)
         with report.phase("respond"):
-            return self._respond(way, contacts, solution)
+            return self._respond(way, response, contacts, solution)
 
     @staticmethod
     def _solved_unfelt(way: Way) -> Solution:
@@ -338,34 +337,34 @@ class Pipeline:
         report.pinched = max(report.pinched, pinched)
         return contacts
 
-    def _gap_springs(self, way: Way, near: int, contacts: Contacts, end: np.ndarray) -> GapSprings:
-        response = way.response
-        if response is not None and way.report.pinched:  # there, forces grow from step to step without end
+    def _gap_springs(
+        self, way: Way, response: Response, near: int, contacts: Contacts, end: np.ndarray
+    ) -> GapSprings:
+        if way.report.pinched:  # there, forces grow from step to step without end
             response = replace(response, carries=False)
         ahead = way.touched.ahead(contacts.key, way.settings.dt)
         state = self._model.inverse_masses, end, way.x, way.v, *ahead
         springs = gap_springs(response, contacts, near, *state, way.settings)
         springs.begin_like(way.springs)
-        if response is not None and not response.solved:
+        if not response.solved:
             springs.drag[:] = 0.0  # only a solve can feel drag; all friction is given after the step
         return springs
 
     @staticmethod
-    def _late(way: Way, contacts: Contacts, end: np.ndarray) -> np.ndarray:
+    def _late(way: Way, response: Response, contacts: Contacts, end: np.ndarray) -> np.ndarray:
         """Vertices that an impulse would have to push, as the solve did not feel a contact that it led to."""
-        response = way.response
-        if response is None or not (response.impulses and response.solved):
+        if not (response.impulses and response.solved):
             return np.zeros(0, dtype=np.int64)
         felt = np.isin(contacts.key, way.springs.contacts.key)
         near = lacks(response, contacts, end, way.settings.dt) > way.settings.tolerance
         return contacts.node[near & ~felt, 0]
 
-    def _respond(self, way: Way, contacts: Contacts, solution: Solution) -> tuple[Solution, Touch] | None:
+    def _respond(
+        self, way: Way, response: Response, contacts: Contacts, solution: Solution
+    ) -> tuple[Solution, Touch] | None:
         """Impulses and friction after the solve."""
-        s, h, response, springs, report = way.settings, way.settings.dt, way.response, way.springs, way.report
+        s, h, springs, report = way.settings, way.settings.dt, way.springs, way.report
         report.contacts = max(len(contacts.key), len(springs.contacts.key))
-        if response is None:
-            return solution, UNTOUCHED
         if response.solved:
             pressed = springs.pushes(solution.positions, solution.velocities, h)
         else:  # it pushed as it did at the start

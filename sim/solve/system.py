@@ -99,9 +99,9 @@ def build_system(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tup
     mirror[lower] = upper
     order = np.argsort(2 * key + bare, kind="stable")
     target = np.searchsorted(targets, key[order])
-    row, first = starts(i, n), starts(target, len(targets))
+    rows, first = starts(i, n), starts(target, len(targets))
     return matrix, Gather(
-        row=offsets(row),
+        row=offsets(rows),
         place=place.astype(np.int32),
         first=offsets(first),
         middle=offsets(first[:-1] + np.bincount(target[~bare[order]], minlength=len(targets))),
@@ -109,7 +109,7 @@ def build_system(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> tup
         a=a[order],
         b=b[order],
         mirror=indices(mirror),
-        shares=even_shares(first[row]),
+        shares=even_shares(first[rows]),
     )
 
 
@@ -118,8 +118,7 @@ def _contributions(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> t
 
     They are in the order of the elements.
     """
-    none = np.zeros(0, dtype=np.uint32)
-    found: list[tuple[np.ndarray, ...]] = [(none.astype(np.int64), none, none, none, none.astype(bool))]
+    found: list[tuple[np.ndarray, ...]] = []
     elements = places = 0
     for nodes, tensor in zip(stencils, tensors, strict=True):
         e, k = nodes.shape
@@ -128,14 +127,14 @@ def _contributions(n: int, stencils: list[np.ndarray], tensors: list[bool]) -> t
         flip = ends[0] > ends[1]
         element = np.arange(e)[:, None]
         start = places + k * element
-        rows = (
+        columns = (
             np.minimum(*ends) * n + np.maximum(*ends),
             indices(np.broadcast_to(elements + element, flip.shape)),
             indices(start + np.where(flip, q, p)),
             indices(start + np.where(flip, p, q)),
             np.full(flip.shape, not tensor),
         )
-        found.append(tuple(row.ravel() for row in rows))
+        found.append(tuple(column.ravel() for column in columns))
         elements, places = elements + e, places + e * k
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
