@@ -140,7 +140,8 @@ def set_damping(elements, inverse_masses, ratios):
 @inner
 def _damp(elements, part, inverse_masses, ratios):
     if len(ratios) == 1 and ratios[0, 1] == 0.0:
-        elements.damping[part[0] : part[1]] = 0.0
+        for e in range(part[0], part[1]):
+            elements.damping[e] = 0.0
         return
     for e in range(part[0], part[1]):
         inverse = 0.0
@@ -163,7 +164,9 @@ def _ratio_at(ratios, square):
         return ratios[0, 1]
     if frequency >= ratios[last, 0]:
         return ratios[last, 1]
-    k = np.searchsorted(ratios[:, 0], frequency)
+    k = 1
+    while ratios[k, 0] < frequency:  # a view for `searchsorted` would have threads count its owners in turn
+        k += 1
     part = math.log(frequency / ratios[k - 1, 0]) / math.log(ratios[k, 0] / ratios[k - 1, 0])
     return ratios[k - 1, 1] + part * (ratios[k, 1] - ratios[k - 1, 1])
 

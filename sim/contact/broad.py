@@ -37,6 +37,9 @@ no use."""
 LOPSIDED = 8
 """Part of all pairs that one of the CHUNKS may find before they are taken to be too many."""
 
+BATCH = 64
+"""Pairs that are looked at more closely at a time."""
+
 ROUNDING = 1e-9
 """Part by which skins are a little wider than they say."""
 
@@ -286,6 +289,7 @@ def _query_leaves(surface, tree, roles, way, room, boxes, hulls, pairs, distance
     own, of_face, of_node = roles.own, roles.of_face, roles.of_node
     places, after = way
     about, count = (faces, edges, roles.role, places, after, room, pairs, distance), 0
+    batch, many = np.empty((BATCH, 3), dtype=np.int32), 0
     for k in range(chunk, len(leaves), CHUNKS):
         if count > most:  # it is refused anyway
             break
@@ -312,16 +316,20 @@ def _query_leaves(surface, tree, roles, way, room, boxes, hulls, pairs, distance
                                 if not (own_vertex[a, c] and solid[b]):
                                     continue
                                 if not _vertex_apart(faces, places, after, room, i, b):
-                                    count = _keep(VERTEX_TRIANGLE, i, b, *about, count)
+                                    many = _note(batch, many, VERTEX_TRIANGLE, i, b)
+                                    if many == BATCH:
+                                        count, many = _keep(batch, many, *about, count), 0
                         for c in range(3):
                             for d in range(3):
                                 one, other = own_edge[f, c], own_edge[g, d]
                                 if one < 0 or other < 0:
                                     continue
                                 if not _edges_apart(edges, places, after, room, one, other):
-                                    count = _keep(EDGE_EDGE, one, other, *about, count)
+                                    many = _note(batch, many, EDGE_EDGE, one, other)
+                                    if many == BATCH:
+                                        count, many = _keep(batch, many, *about, count), 0
             node += 1
-    return count
+    return _keep(batch, many, *about, count)
 
 
 @inner
@@ -329,17 +337,22 @@ def _near_pairs(surface, roles, way, room, pairs, distance, chunk, count):
     faces, edges, (places, after) = surface.faces, surface.edges, way
     near_vertices, near_edges = surface.near_vertices, surface.near_edges
     about = faces, edges, roles.role, places, after, room, pairs, distance
+    batch, many = np.empty((BATCH, 3), dtype=np.int32), 0
     part = share(chunk, len(near_vertices))
     for k in range(part[0], part[1]):
         i, f = near_vertices[k, 0], near_vertices[k, 1]
         if not _vertex_apart(faces, places, after, room, i, f):
-            count = _keep(VERTEX_TRIANGLE, i, f, *about, count)
+            many = _note(batch, many, VERTEX_TRIANGLE, i, f)
+            if many == BATCH:
+                count, many = _keep(batch, many, *about, count), 0
     part = share(chunk, len(near_edges))
     for k in range(part[0], part[1]):
         one, other = near_edges[k, 0], near_edges[k, 1]
         if not _edges_apart(edges, places, after, room, one, other):
-            count = _keep(EDGE_EDGE, one, other, *about, count)
-    return count
+            many = _note(batch, many, EDGE_EDGE, one, other)
+            if many == BATCH:
+                count, many = _keep(batch, many, *about, count), 0
+    return _keep(batch, many, *about, count)
 
 
 @inner
@@ -363,7 +376,8 @@ def _neighbours(faces, crowded, f, g):
 def _vertex_apart(faces, places, after, room, i, f):
     """Whether a direction tells a vertex and a triangle apart at both ends of the way, as it does most pairs.
 
-    Here and below a small function with few arrays: a call of `_keep` costs more than all that this does.
+    Here and below a small function with few arrays: a call of `_keep` costs more than all that this does, as
+    threads count in turn who uses an array. So it is called for a batch of pairs.
     """
     j, k, m = faces[f, 0], faces[f, 1], faces[f, 2]
     a, b, c, d = row(places, i), row(places, j), row(places, k), row(places, m)
@@ -389,29 +403,39 @@ def _edges_apart(edges, places, after, room, one, other):
 
 
 @inner
-def _keep(kind, one, other, faces, edges, role, places, after, room, pairs, distance, count):
-    """Count the pair, and write it down where there is place, if it may come within `room`."""
-    if kind == VERTEX_TRIANGLE:
-        i, j, k, m = one, faces[other, 0], faces[other, 1], faces[other, 2]
-    else:
-        i, j, k, m = edges[one, 0], edges[one, 1], edges[other, 0], edges[other, 1]
-    if role[i] | role[j] | role[k] | role[m] != MOVABLE | PARTNER | CLOTH:
-        return count
-    if i in (k, m) or j in (k, m) or (kind == VERTEX_TRIANGLE and i == j):
-        return count
-    a, b, c, d = row(places, i), row(places, j), row(places, k), row(places, m)
-    ways = (
-        sub(row(after, i), a),
-        sub(row(after, j), b),
-        sub(row(after, k), c),
-        sub(row(after, m), d),
-    )
-    reach = room + passing(kind, *ways)
-    apart = norm(separation(nearest(kind, a, b, c, d), a, b, c, d))
-    if apart > reach:
-        return count
-    if count < len(distance):
-        pairs[count, 0], pairs[count, 1], pairs[count, 2] = kind, one, other
-        pairs[count, 3], pairs[count, 4], pairs[count, 5], pairs[count, 6] = i, j, k, m
-        distance[count] = apart
-    return count + 1
+def _note(batch, many, kind, one, other):
+    """Put one more pair into a batch that `many` are in."""
+    batch[many, 0], batch[many, 1], batch[many, 2] = kind, one, other
+    return many + 1
+
+
+@inner
+def _keep(batch, many, faces, edges, role, places, after, room, pairs, distance, count):
+    """Count those of a batch that may come within `room`, and write them down where there is place."""
+    for p in range(many):
+        kind, one, other = batch[p, 0], batch[p, 1], batch[p, 2]
+        if kind == VERTEX_TRIANGLE:
+            i, j, k, m = one, faces[other, 0], faces[other, 1], faces[other, 2]
+        else:
+            i, j, k, m = edges[one, 0], edges[one, 1], edges[other, 0], edges[other, 1]
+        if role[i] | role[j] | role[k] | role[m] != MOVABLE | PARTNER | CLOTH:
+            continue
+        if i in (k, m) or j in (k, m) or (kind == VERTEX_TRIANGLE and i == j):
+            continue
+        a, b, c, d = row(places, i), row(places, j), row(places, k), row(places, m)
+        ways = (
+            sub(row(after, i), a),
+            sub(row(after, j), b),
+            sub(row(after, k), c),
+            sub(row(after, m), d),
+        )
+        reach = room + passing(kind, *ways)
+        apart = norm(separation(nearest(kind, a, b, c, d), a, b, c, d))
+        if apart > reach:
+            continue
+        if count < len(distance):
+            pairs[count, 0], pairs[count, 1], pairs[count, 2] = kind, one, other
+            pairs[count, 3], pairs[count, 4], pairs[count, 5], pairs[count, 6] = i, j, k, m
+            distance[count] = apart
+        count += 1
+    return count
