@@ -165,7 +165,7 @@ def _ratio_at(ratios, square):
     if frequency >= ratios[last, 0]:
         return ratios[last, 1]
     k = 1
-    while ratios[k, 0] < frequency:  # a view for `searchsorted` would have threads count its owners in turn
+    while ratios[k, 0] < frequency:  # with `searchsorted` this is not inlined, and no faster with two threads
         k += 1
     part = math.log(frequency / ratios[k - 1, 0]) / math.log(ratios[k, 0] / ratios[k - 1, 0])
     return ratios[k - 1, 1] + part * (ratios[k, 1] - ratios[k - 1, 1])

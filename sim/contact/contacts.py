@@ -87,7 +87,7 @@ class Contacts(NamedTuple):
 
     def joins(self, label: np.ndarray) -> np.ndarray:
         """(k, 2) each two labels, out of those of the vertices (n,), that a contact joins."""
-        if not len(self.key):
+        if not (len(self.key) and label.any()):  # nor where all of the cloth has the label 0
             return np.zeros((0, 2), dtype=label.dtype)
         acts = self.weight != 0.0
         own = label[self.node[np.arange(len(self.node)), acts.argmax(axis=1)]]

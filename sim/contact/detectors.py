@@ -191,9 +191,7 @@ class Detectors:
         contacts = contacts.confined(self._model.axis, way.x)
         if way.settings.sleep == "off" or not len(contacts.key):
             return contacts
-        parts = self._model.mesh.parts
-        if parts.any():
-            self._joins.append(contacts.joins(parts))
+        self._joins.append(contacts.joins(self._model.mesh.parts))
         free = self._model.free
         if free is self._unpinned:
             return contacts
